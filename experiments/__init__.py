@@ -1,0 +1,1 @@
+"""Scripted experiments, the store of their runs, and the command line."""

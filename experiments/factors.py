@@ -1,0 +1,48 @@
+"""The tessellation factors of a scene in a view, patch by patch. Needs no OpenGL."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+import tyro
+from slefejax.experiments.options import OutputOptions, PredictionOptions, ViewOptions
+from slefejax.experiments.report import Report
+from slefejax.experiments.store import Run
+
+from slefejax import load, tessellation_factors
+from slefejax.edges import EDGES
+from slefejax.tessellator import triangle_counts
+
+
+@dataclass(frozen=True)
+class FactorsOfScene:
+    """The predicted tessellation factor of every patch, and the inner and edge levels that follow from it."""
+
+    scene: tyro.conf.Positional[str]
+    """A file (.bpt), or teapot."""
+    prediction: tyro.conf.OmitArgPrefixes[PredictionOptions] = field(default_factory=PredictionOptions)
+    camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
+    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def run(self) -> Report:
+        """Predict and list."""
+        scene = load(self.scene)
+        view = self.camera.view(scene)
+        run = Run("factors", {**asdict(self), "output": None}, self.output.out)
+        factors = tessellation_factors(
+            scene.patches(), view, edge_numbers=scene.edge_numbers, **self.prediction.arguments()
+        )
+        triangles = triangle_counts(factors.inner, factors.edges)
+        rows = []
+        for patch, (factor, inner, edges) in enumerate(zip(factors.factor, factors.inner, factors.edges, strict=True)):
+            row = {"patch": patch, "factor": float(factor), "inner_u": int(inner[0]), "inner_v": int(inner[1])}
+            row |= {f"edge_{name}": int(level) for name, level in zip(EDGES, edges, strict=True)}
+            rows.append({**row, "triangles": int(triangles[patch])})
+        total = {"sum_of_factors": float(np.sum(factors.factor)), "triangles": int(triangles.sum())}
+        title = (
+            f"{scene.name}: {len(rows)} patches, sum of factors {total['sum_of_factors']:.3f},"
+            f" {total['triangles']:,} triangles"
+        )
+        out = run.finish(rows, {"scene": scene.name, "notes": scene.notes, **total})
+        return Report(scene.name, out, rows, title, scene.notes, extra=total)

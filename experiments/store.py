@@ -1,0 +1,146 @@
+"""The folder of a run: rows as they are found, then a table, a record and pictures, in place all at once.
+
+While it works, a run writes into a hidden folder beside its final place, named after what was asked for. A run that
+is stopped leaves it there; asking for the same again takes its rows over and goes on. Only a finished run is renamed
+into place.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import os
+import platform
+import shutil
+import subprocess
+from collections.abc import Callable
+from datetime import datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from slefejax.errors import InputError
+
+PACKAGES = ("slefejax", "jax", "jaxlib", "numpy", "scipy", "moderngl", "matplotlib")
+Row = dict[str, Any]
+
+
+class Run:
+    """One run of an experiment. Nothing is written before the first row."""
+
+    def __init__(self, experiment: str, arguments: dict[str, Any], out: Path | None) -> None:
+        self.experiment, self.arguments, self._out = experiment, arguments, out
+        self.parent = out.parent if out else Path("runs") / experiment
+        if out and out.exists() and not (out.is_dir() and not any(out.iterdir())):
+            raise InputError(f"--out {out} exists and is not an empty folder: name another one, nothing is overwritten")
+        text = json.dumps([experiment, arguments, str(out), _versions()], sort_keys=True, default=str)
+        digest = hashlib.sha256(text.encode()).hexdigest()[:12]
+        self.work = self.parent / f".{experiment}-{digest}.partial"
+        self._rows_file = self.work / "rows.jsonl"
+
+    def file(self, name: str) -> Path:
+        """Where a file of this run is written."""
+        self._make_folder()
+        return self.work / name
+
+    def rows(self) -> list[Row]:
+        """Rows found so far, those of an earlier, stopped run of the same included."""
+        if not self._rows_file.exists():
+            return []
+        return [row for line in self._rows_file.read_text().splitlines() if (row := _whole(line)) is not None]
+
+    def add(self, row: Row) -> None:
+        """Keep a row at once, so that it survives whatever happens next."""
+        self._make_folder()
+        with self._rows_file.open("a") as file:
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+
+    def each(
+        self, key: str, values: list[Any], make_row: Callable[[Any], Row], progress: Callable[[int], None]
+    ) -> list[Row]:
+        """A row for each value, those of an earlier run taken over; ``progress`` hears how many there are."""
+        found = {row[key]: row for row in self.rows()}
+        for value in values:
+            if value not in found:
+                found[value] = {key: value, **make_row(value)}
+                self.add(found[value])
+            progress(len(found))
+        return [found[value] for value in values]
+
+    def finish(self, rows: list[Row], record: dict[str, Any], table: str = "table.csv") -> Path:
+        """Write the table and the record, and put the run's folder into place. Returns the folder."""
+        write_csv(self.file(table), rows)
+        content = {
+            "experiment": self.experiment,
+            "arguments": self.arguments,
+            "time": datetime.now().astimezone().isoformat(timespec="seconds"),
+            "versions": _versions(),
+            "commit": _commit(),
+            "machine": {"system": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
+            **record,
+        }
+        self.file("run.json").write_text(json.dumps(content, indent=2, default=str) + "\n")
+        self._rows_file.unlink(missing_ok=True)
+        return self._into_place()
+
+    def _into_place(self) -> Path:
+        if self._out:
+            if self._out.exists():
+                self._out.rmdir()
+            return self.work.rename(self._out)
+        stamp = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+        place, number = self.parent / stamp, 1
+        while place.exists():
+            number += 1
+            place = self.parent / f"{stamp}_{number}"
+        return self.work.rename(place)
+
+    def _make_folder(self) -> None:
+        try:
+            self.work.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"the results cannot be written to {self.parent}: {error.strerror or error}") from None
+
+    def discard(self) -> None:
+        """Remove what was written: for a run that turned out to be impossible."""
+        shutil.rmtree(self.work, ignore_errors=True)
+
+
+def write_csv(path: Path, rows: list[Row]) -> None:
+    """A table with the keys of the first row as its columns."""
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def _whole(line: str) -> Row | None:
+    try:
+        return json.loads(line)
+    except ValueError:
+        return None
+
+
+def _versions() -> dict[str, str]:
+    found = {"python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def _commit() -> str | None:
+    """The commit of the checkout that this code runs from, if it is one."""
+    here = Path(__file__).resolve().parent
+    if not (here.parent / ".git").exists():
+        return None
+    command = ["git", "-C", str(here), "describe", "--always", "--dirty", "--abbrev=40"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, timeout=10, check=True).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return None

@@ -1,0 +1,1 @@
+"""One figure a file, drawn from tables and images that are handed in; nothing is recomputed."""

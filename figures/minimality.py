@@ -1,0 +1,108 @@
+"""The minimality sweep: factors on the patches, bad pixels against the scale, and an error image a scale."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.image import imread
+from matplotlib.patches import Patch
+
+from slefejax.figures.style import BACKGROUND, ERROR_CLASSES, FACTOR_MAP, SETTINGS, new_figure, save
+
+_MARGIN = 12  # pixels around the object
+Box = tuple[slice, slice]
+
+
+def write_factor_map(path: Path, factor: np.ndarray) -> None:
+    """The factor of the patch that is seen at every pixel; ``factor`` has row 0 at the bottom, NaN is background."""
+    with mpl.rc_context(SETTINGS):
+        figure = new_figure(10, 6.2)
+        axes = figure.subplots()
+        _paint_factors(axes, factor, _occupied(factor))
+        save(figure, path)
+
+
+def write_minimality_figure(
+    path: Path, rows: list[dict[str, Any]], images: list[Path], factor: np.ndarray, scene: str
+) -> None:
+    """Everything on one page. ``rows`` and ``images``: one a scale each; ``factor`` as in ``write_factor_map``."""
+    columns = 3
+    lines = -(-len(rows) // columns)
+    with mpl.rc_context(SETTINGS):
+        figure = new_figure(15, 5.2 + 3.6 * lines)
+        halves: Any = figure.subfigures(2, 1, height_ratios=[5.2, 3.6 * lines])
+        top, bottom = halves
+        box = _occupied(factor)
+        left, right = top.subplots(1, 2, width_ratios=[1.25, 1])
+        _paint_factors(left, factor, box)
+        _plot_shares(right, rows)
+        grid = np.ravel(bottom.subplots(lines, columns))
+        for axes, row, image in zip(grid, rows, images, strict=False):
+            _show_errors(axes, row, imread(image), box)
+        for axes in grid[len(rows) :]:
+            axes.set_axis_off()
+        handles = [Patch(facecolor=colour, label=name) for _, colour, name in ERROR_CLASSES]
+        bottom.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, title="error of a pixel")
+        first = rows[0]
+        figure.suptitle(
+            f"{scene}: is the predicted tessellation safe, and would less do?  Predicted factors ({first['method']},"
+            f" m = {first['segments']}) are multiplied by a scale,\nthe {first['patches']} patches rendered, and each"
+            " pixel compared with the exact surface: how far is it from where its texture belongs?",
+            fontsize=13,
+        )
+        save(figure, path)
+
+
+def _occupied(values: np.ndarray) -> Box:
+    """The part of a picture where something is, with a margin."""
+    rows, columns = (np.flatnonzero(np.any(~np.isnan(values), axis=axis)) for axis in (1, 0))
+    return tuple(slice(max(0, r[0] - _MARGIN), r[-1] + _MARGIN + 1) for r in (rows, columns))  # type: ignore[return-value]
+
+
+def _paint_factors(axes: Axes, factor: np.ndarray, box: Box) -> None:
+    picture = axes.imshow(factor[box], origin="lower", cmap=FACTOR_MAP, interpolation="nearest")
+    _bare(axes, "predicted tessellation factor of each patch (scale 1)")
+    bar = axes.figure.colorbar(picture, ax=axes, shrink=0.85)
+    bar.set_label("factor: pieces along each side")
+
+
+def _plot_shares(axes: Axes, rows: list[dict[str, Any]]) -> None:
+    rows = sorted(rows, key=lambda row: row["scale"])
+    scales = [row["scale"] for row in rows]
+    for name, marker, (limit, _, _), (_, colour, _) in zip(
+        ("share_above_0.1", "share_above_0.5", "share_above_1"), "so^", ERROR_CLASSES, ERROR_CLASSES[1:], strict=False
+    ):
+        axes.plot(
+            scales, [100 * row[name] for row in rows], marker=marker, color=colour, label=f"more than {limit:g} px off"
+        )
+    axes.set_yscale("symlog", linthresh=0.01)
+    axes.set_ylim(0, 150)
+    ticks = [0, 0.01, 0.1, 1, 10, 100]
+    axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    axes.set_xlabel("scale of the predicted factors")
+    axes.set_ylabel("share of the covered pixels (%)")
+    axes.set_title("pixels that are off, against the scale")
+    axes.legend(loc="lower left", frameon=True)
+
+
+def _show_errors(axes: Axes, row: dict[str, Any], image: np.ndarray, box: Box) -> None:
+    axes.imshow(image[::-1][box], origin="lower", interpolation="antialiased")
+    _bare(
+        axes,
+        f"scale {row['scale']:g}:  {row['triangles']:,} triangles\n{100 * row['share_above_0.5']:.2g} % of the pixels"
+        f" off by more than ½ px,  worst {row['max_error_px']:.2f} px",
+    )
+
+
+def _bare(axes: Axes, title: str) -> None:
+    axes.set_title(title)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    axes.set_facecolor(BACKGROUND)
+    axes.grid(False)
+    for spine in axes.spines.values():
+        spine.set_visible(False)

@@ -1,0 +1,9 @@
+"""The renderer: whole tessellation levels in, G-buffer or triangles out.
+
+It draws what it is told and knows nothing of how the levels were predicted.
+"""
+
+from slefejax.gpu.context import Device, open_device
+from slefejax.gpu.renderer import GBuffer, Renderer, Triangles
+
+__all__ = ["Device", "GBuffer", "Renderer", "Triangles", "open_device"]

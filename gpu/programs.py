@@ -1,0 +1,46 @@
+"""Shader programs, put together from the files under shaders/."""
+
+from __future__ import annotations
+
+import re
+from importlib.resources import files
+from typing import Any
+
+import moderngl
+
+_STAGES = {
+    "vertex_shader": "patch.vert",
+    "tess_control_shader": "patch.tesc",
+    "tess_evaluation_shader": "patch.tese",
+}
+
+
+def draw_program(context: Any, shape: tuple[int, int, int]) -> Any:
+    """Draws patches of shape (du+1, dv+1, dim) into the G-buffer."""
+    return _program(context, shape, {**_STAGES, "fragment_shader": "gbuffer.frag"})
+
+
+def capture_program(context: Any, shape: tuple[int, int, int]) -> Any:
+    """Writes the triangles that the tessellator makes to a storage buffer and draws nothing."""
+    return _program(context, shape, {**_STAGES, "geometry_shader": "capture.geom"})
+
+
+def _program(context: Any, shape: tuple[int, int, int], stages: dict[str, str]) -> Any:
+    defines = {"DEGREE_U": shape[0] - 1, "DEGREE_V": shape[1] - 1, "COORDINATES": shape[2]}
+    sources = {stage: _source(name, defines) for stage, name in stages.items()}
+    try:
+        return context.program(**sources)
+    except moderngl.Error as error:
+        raise RuntimeError(f"the shaders {', '.join(stages.values())} did not compile: {error}") from error
+
+
+def _source(name: str, defines: dict[str, int]) -> str:
+    """A shader's text, with its includes in place and the definitions behind its #version line."""
+    text = re.sub(r'^#include "(.+)"$', lambda match: _read(match.group(1)), _read(name), flags=re.MULTILINE)
+    version, rest = text.split("\n", 1)
+    lines = [f"#define {key} {value}" for key, value in defines.items()]
+    return "\n".join([version, *lines, rest])
+
+
+def _read(name: str) -> str:
+    return (files("slefejax.gpu") / "shaders" / name).read_text()

@@ -1,0 +1,211 @@
+"""Patches through OpenGL's tessellation stages, into a G-buffer or out again as triangles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import moderngl
+import numpy as np
+from jaxtyping import Float, Int
+
+from slefejax.errors import InputError
+from slefejax.gpu.context import Device, open_device
+from slefejax.gpu.programs import capture_program, draw_program
+from slefejax.tessellator import triangle_counts
+from slefejax.view import View
+
+# Software OpenGL numbers the tessellated vertices of a draw call in 16 bits and loses triangles beyond.
+VERTICES_A_DRAW = 65_536
+_HIGHEST_PATCH_NUMBER = 2**24
+_RECORD = 20  # floats a captured triangle, see capture.geom
+
+Inner = Int[np.ndarray, "patches 2"]
+Outer = Int[np.ndarray, "patches 4"]
+
+
+@dataclass(frozen=True)
+class GBuffer:
+    """What is seen at every pixel centre; arrays ``(height, width)``, row 0 at the bottom (``slefejax.view``).
+
+    u, v  : float32 parameters of the patch, interpolated with perspective by the rasteriser
+    patch : int32 number of the patch, -1 where nothing was drawn
+    depth : float32 window depth, 1 where nothing was drawn
+    """
+
+    u: Float[np.ndarray, "height width"]
+    v: Float[np.ndarray, "height width"]
+    patch: Int[np.ndarray, "height width"]
+    depth: Float[np.ndarray, "height width"]
+
+
+@dataclass(frozen=True)
+class Triangles:
+    """Triangles as the tessellator made them, in no particular order.
+
+    patch      : ``(triangles,)`` int32
+    parameters : ``(triangles, 3, 2)`` float32, (u, v) of each vertex
+    clip       : ``(triangles, 3, 4)`` float32, its clip-space position
+    """
+
+    patch: Int[np.ndarray, "triangles"]
+    parameters: Float[np.ndarray, "triangles 3 2"]
+    clip: Float[np.ndarray, "triangles 3 4"]
+
+
+class Renderer:
+    """Holds the control points on the device and draws them with any levels, from any view.
+
+    patches : ``(patches, du+1, dv+1, 3)`` or, rational, 4 at the end; sent as float32
+    device  : from ``open_device``, which is called if it is not given
+
+    >>> renderer = Renderer(patches)                                        # doctest: +SKIP
+    >>> buffer = renderer.draw(view, factors.inner, factors.edges)          # doctest: +SKIP
+    """
+
+    def __init__(self, patches: Float[np.ndarray, "patches nu nv dim"], device: Device | None = None) -> None:
+        self.device = device or open_device()
+        self.device.check_thread()
+        control = np.ascontiguousarray(patches, np.float32)
+        if not np.isfinite(control).all():
+            bad = np.flatnonzero(~np.isfinite(control).all(axis=(1, 2, 3)))[0]
+            raise InputError(f"patch {bad} (counted from 0) has control points that are not finite float32 numbers")
+        if len(control) >= _HIGHEST_PATCH_NUMBER:
+            raise InputError(f"the G-buffer can number {_HIGHEST_PATCH_NUMBER - 1} patches, not {len(control)}")
+        self._count = len(control)
+        self._shape = (control.shape[1], control.shape[2], control.shape[3])
+        context = self.device.context
+        self._control = context.buffer(control.tobytes())
+        self._levels = context.buffer(reserve=24 * self._count)
+        self._numbers = context.buffer(np.arange(self._count, dtype=np.int32).tobytes())
+        self._target: tuple[tuple[int, int], Any] | None = None
+        self._arrays: dict[str, Any] = {}
+
+    def draw(self, view: View, inner: Inner, outer: Outer) -> GBuffer:
+        """Draw and read back. Levels are whole numbers, see ``submit``."""
+        self.submit(view, inner, outer)
+        return self.read(view)
+
+    def submit(self, view: View, inner: Inner, outer: Outer) -> None:
+        """Draw the patches and wait until that is done.
+
+        inner : ``(patches, 2)`` levels along u and v
+        outer : ``(patches, 4)`` levels at u=0, v=0, u=1, v=1; 0 leaves the patch out
+        Raises InputError for levels of the wrong shape or beyond the device's limit.
+        """
+        target = self._framebuffer(view)
+        target.use()
+        self.device.context.enable_only(moderngl.DEPTH_TEST)
+        target.clear(0.0, 0.0, -1.0, 1.0, depth=1.0)
+        self._render("draw", draw_program, view, inner, outer)
+        self.device.context.finish()
+        self.device.check_error("drawing patches")
+
+    def read(self, view: View) -> GBuffer:
+        """The picture that was drawn last."""
+        target = self._framebuffer(view)
+        flat = np.frombuffer(target.read(components=4, dtype="f4"), np.float32)
+        samples = flat.reshape(target.height, target.width, 4)
+        self.device.check_error("reading the G-buffer")
+        return GBuffer(samples[..., 0], samples[..., 1], samples[..., 2].astype(np.int32), samples[..., 3])
+
+    def capture(self, view: View, inner: Inner, outer: Outer) -> Triangles:
+        """The triangles that the tessellator makes for these levels, with their clip-space positions."""
+        inner, outer = self._checked_levels(inner, outer)
+        context = self.device.context
+        expected = int(triangle_counts(inner, outer).sum())
+        counter = context.buffer(np.zeros(1, np.uint32).tobytes())
+        records = context.buffer(reserve=4 * _RECORD * max(1, expected))
+        counter.bind_to_storage_buffer(2)
+        records.bind_to_storage_buffer(3)
+        self._framebuffer(view).use()
+        context.enable_only(moderngl.RASTERIZER_DISCARD)
+        self._render("capture", capture_program, view, inner, outer)
+        context.enable_only(moderngl.NOTHING)
+        count = int(np.frombuffer(counter.read(), np.uint32)[0])
+        self.device.check_error("capturing triangles")
+        if count != expected:
+            raise RuntimeError(f"{self.device.renderer} made {count} triangles where OpenGL prescribes {expected}")
+        data = np.frombuffer(records.read(), np.float32).reshape(-1, _RECORD)[:count]
+        counter.release()
+        records.release()
+        vertices = data[:, :18].reshape(-1, 3, 6)
+        return Triangles(data[:, 18].astype(np.int32), vertices[..., :2], vertices[..., 2:])
+
+    def release(self) -> None:
+        """Free what lies on the device; the renderer cannot draw any more."""
+        arrays, self._arrays = self._arrays, {}
+        for thing in (*arrays.values(), self._control, self._levels, self._numbers):
+            thing.release()
+        self._release_target()
+
+    def _render(self, name: str, make_program: Any, view: View, inner: Inner, outer: Outer) -> None:
+        self.device.check_thread()
+        inner, outer = self._checked_levels(inner, outer)
+        array = self._array(name, make_program)
+        array.program["world_to_clip"].write(np.asarray(view.world_to_clip, np.float32).T.tobytes())
+        self._levels.write(np.hstack([inner, outer]).astype(np.int32).tobytes())
+        self._control.bind_to_storage_buffer(0)
+        self._levels.bind_to_storage_buffer(1)
+        self.device.context.patch_vertices = 1
+        for first, count in draw_ranges(inner, outer):
+            array.render(moderngl.PATCHES, vertices=count, first=first)
+
+    def _array(self, name: str, make_program: Any) -> Any:
+        if name not in self._arrays:
+            program = make_program(self.device.context, self._shape)
+            self._arrays[name] = self.device.context.vertex_array(program, [(self._numbers, "i", "number")])
+        return self._arrays[name]
+
+    def _framebuffer(self, view: View) -> Any:
+        size = (int(view.width), int(view.height))
+        if self._target is None or self._target[0] != size:
+            self._release_target()
+            context = self.device.context
+            colour = context.renderbuffer(size, 4, dtype="f4")
+            self._target = (size, context.framebuffer([colour], context.depth_renderbuffer(size)))
+        return self._target[1]
+
+    def _release_target(self) -> None:
+        if self._target is not None:
+            framebuffer = self._target[1]
+            # moderngl binds the last framebuffer again whenever it makes a new one: that must not be a deleted one
+            self.device.home.use()
+            for attachment in (*framebuffer.color_attachments, framebuffer.depth_attachment, framebuffer):
+                attachment.release()
+            self._target = None
+
+    def _checked_levels(self, inner: Inner, outer: Outer) -> tuple[Inner, Outer]:
+        inner, outer = np.asarray(inner), np.asarray(outer)
+        if inner.shape != (self._count, 2) or outer.shape != (self._count, 4):
+            raise InputError(
+                f"levels for {self._count} patches must have shapes ({self._count}, 2) and ({self._count}, 4),"
+                f" not {inner.shape} and {outer.shape}"
+            )
+        check_levels(np.maximum(inner.max(axis=1), outer.max(axis=1)), self.device.highest_level)
+        return inner, outer
+
+
+def check_levels(levels: Int[np.ndarray, "patches"], highest: int) -> None:
+    """Raise InputError if a patch's level is beyond what the tessellator can do."""
+    beyond = np.flatnonzero(levels > highest)
+    if beyond.size:
+        worst = beyond[np.argmax(levels[beyond])]
+        raise InputError(
+            f"{beyond.size} of {len(levels)} patches need a tessellation factor above the hardware's limit of {highest}"
+            f" (patch {worst}, counted from 0: {levels[worst]}):"
+            " move the camera away, shrink the picture or raise the tolerance"
+        )
+
+
+def draw_ranges(inner: Inner, outer: Outer) -> list[tuple[int, int]]:
+    """(first patch, number of patches) of draws, none with more than VERTICES_A_DRAW vertices before sharing."""
+    longest = np.maximum(inner.max(axis=1), outer.max(axis=1))
+    ends = np.cumsum((longest + 1) ** 2)
+    ranges, first = [], 0
+    while first < len(ends):
+        used = ends[first - 1] if first else 0
+        last = int(np.searchsorted(ends, used + VERTICES_A_DRAW, side="right"))
+        ranges.append((first, max(1, last - first)))
+        first = max(first + 1, last)
+    return ranges

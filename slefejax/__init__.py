@@ -1,0 +1,29 @@
+"""How finely must a curved surface be tessellated so that no pixel shows the difference?
+
+>>> import slefejax as sj
+>>> scene = sj.load("teapot")
+>>> view = sj.View(sj.Camera.look_at((4.5, -6.0, 4.0), (0.0, 0.0, 1.2)), width=1440, height=900)
+>>> factors = sj.tessellation_factors(scene.patches(), view, segments=3, tolerance=0.5)
+"""
+
+from slefejax.errors import InputError, NoOpenGLError
+from slefejax.factors import Factors, tessellation_factors
+from slefejax.scene import Scene, load
+from slefejax.slefe import Slefe, SlefeTable, slefe, slefe_boxes, slefe_table
+from slefejax.view import Camera, View
+
+__all__ = [
+    "Camera",
+    "Factors",
+    "InputError",
+    "NoOpenGLError",
+    "Scene",
+    "Slefe",
+    "SlefeTable",
+    "View",
+    "load",
+    "slefe",
+    "slefe_boxes",
+    "slefe_table",
+    "tessellation_factors",
+]

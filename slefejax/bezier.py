@@ -1,0 +1,104 @@
+"""Polynomials and tensor-product patches in Bernstein-Bézier form (MATH.md, section 1).
+
+Coefficients run along the first axes: a curve is ``(d+1, ...)``, a patch ``(du+1, dv+1, ...)``,
+u before v. Whatever follows (coordinates, many patches) is carried along, so the same functions
+serve one patch, a batch with the patches last, and scalar functions.
+"""
+
+from __future__ import annotations
+
+from math import comb
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Shaped
+
+Values = Any  # numbers or arrays, NumPy or JAX, that broadcast
+
+
+def bernstein(degree: int, t: Values) -> list[Values]:
+    """The Bernstein polynomials b_j(t) = C(d, j) (1-t)^(d-j) t^j, j = 0 ... d, of MATH.md, section 1.
+
+    ``t`` may have any shape; the result is a list of ``degree + 1`` arrays of that shape.
+
+    >>> [float(b) for b in bernstein(2, np.array(0.5))]
+    [0.25, 0.5, 0.25]
+    """
+    s = 1 - t
+    rising, falling = [t * 0 + 1], [t * 0 + 1]
+    for _ in range(degree):
+        rising.append(rising[-1] * t)
+        falling.append(falling[-1] * s)
+    return [comb(degree, j) * (rising[j] * falling[degree - j]) for j in range(degree + 1)]
+
+
+def combine(coefficients: Values, basis: list[Values]) -> Values:
+    """The sum of coefficients[j] * basis[j] over the first axis."""
+    total = coefficients[0] * basis[0]
+    for c, b in zip(coefficients[1:], basis[1:], strict=True):
+        total = total + c * b
+    return total
+
+
+def evaluate_curve(coefficients: Float[Array | np.ndarray, "n *rest"], t: Values) -> Values:
+    """p(t) = sum_j c_j b_j(t) for coefficients ``(d+1, *rest)``; ``t`` broadcasts against ``rest``.
+
+    >>> float(evaluate_curve(np.array([0.0, 0.0, 1.0]), np.array(0.5)))
+    0.25
+    """
+    return combine(coefficients, bernstein(coefficients.shape[0] - 1, t))
+
+
+def evaluate_patch(coefficients: Float[Array | np.ndarray, "nu nv *rest"], u: Values, v: Values) -> Values:
+    """p(u, v) = sum_ij c_ij b_i(u) b_j(v) (2012, eq 5) for coefficients ``(du+1, dv+1, *rest)``.
+
+    ``u`` and ``v`` broadcast against ``rest``: with one patch ``(du+1, dv+1, 3, 1)`` and parameters
+    ``(n,)`` the result is ``(3, n)``.
+    """
+    across = bernstein(coefficients.shape[1] - 1, v)
+    rows = [combine(row, across) for row in coefficients]
+    return combine(rows, bernstein(coefficients.shape[0] - 1, u))
+
+
+def second_differences(coefficients: Shaped[Array | np.ndarray, "n *rest"]) -> Values:
+    """The second differences c_(j-1) - 2 c_j + c_(j+1), j = 1 ... d-1, along the first axis (MATH.md, section 2)."""
+    return (coefficients[:-2] - coefficients[1:-1]) + (coefficients[2:] - coefficients[1:-1])
+
+
+def derivative(coefficients: Float[Array | np.ndarray, "n *rest"]) -> Values:
+    """Coefficients of p' along the first axis: d (c_(j+1) - c_j), degree d-1."""
+    return (coefficients.shape[0] - 1) * (coefficients[1:] - coefficients[:-1])
+
+
+def elevate(coefficients: Float[np.ndarray, "n *rest"], degree: int) -> Float[np.ndarray, "m *rest"]:
+    """The same polynomial along the first axis with ``degree`` at least its own.
+
+    End coefficients are kept exactly, and elevating the reversed coefficients gives the reversed
+    result bit for bit, so neighbouring patches stay equal along their edge.
+
+    >>> elevate(np.array([0.0, 2.0]), 2)
+    array([0., 1., 2.])
+    """
+    while coefficients.shape[0] - 1 < degree:
+        n = coefficients.shape[0]
+        share = np.arange(1, n).reshape((-1,) + (1,) * (coefficients.ndim - 1))
+        inner = (share / n) * coefficients[:-1] + ((n - share) / n) * coefficients[1:]
+        coefficients = np.concatenate([coefficients[:1], inner, coefficients[-1:]])
+    return coefficients
+
+
+def restrict(coefficients: Float[Array | np.ndarray, "n *rest"], start: Values, end: Values) -> Values:
+    """Coefficients of t -> p(start + t (end - start)) along the first axis, by blossoming (de Casteljau).
+
+    Coefficient j is the blossom of p with d-j arguments ``start`` and j arguments ``end``.
+    """
+    degree = coefficients.shape[0] - 1
+    xp = np if isinstance(coefficients, np.ndarray) else jnp
+    return xp.stack([_blossom(coefficients, [start] * (degree - j) + [end] * j) for j in range(degree + 1)])
+
+
+def _blossom(coefficients: Values, arguments: list[Values]) -> Values:
+    for t in arguments:
+        coefficients = (1 - t) * coefficients[:-1] + t * coefficients[1:]
+    return coefficients[0]

@@ -1,0 +1,1 @@
+"""Small scenes that ship with the package, by name."""

@@ -1,0 +1,67 @@
+"""The error of what was drawn, against the exact surface (MATH.md, section 4).
+
+Nothing here is shared with the prediction but the camera. Everything is computed in float64, whatever JAX's
+settings are.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from slefejax import layout
+from slefejax.bezier import evaluate_patch
+from slefejax.view import View, homogeneous
+
+
+def pixel_error(
+    patches: Float[np.ndarray, "patches nu nv dim"],
+    view: View,
+    u: Float[np.ndarray, "height width"],
+    v: Float[np.ndarray, "height width"],
+    patch: Int[np.ndarray, "height width"],
+) -> Float[np.ndarray, "height width"]:
+    """The parametric error of every pixel: max(|dx|, |dy|) between P(p(u, v)) and the pixel's centre (2012, eq 1).
+
+    patches     : control points, ``(patches, du+1, dv+1, 3)`` or, rational, 4 at the end
+    u, v, patch : what the renderer found at each pixel centre, row 0 at the bottom; patch -1 where nothing is
+    returns     : pixels, float64; NaN where nothing is
+
+    Colours in the papers' pictures: grey up to 0.1 pixel, blue up to 0.5, green up to 1, red above.
+    """
+    rows, columns = np.nonzero(patch >= 0)
+    error = np.full(patch.shape, np.nan)
+    if rows.size:
+        at = (rows, columns)
+        screen = surface_on_screen(patches, view, patch[at], u[at], v[at])
+        error[at] = np.maximum(np.abs(screen[:, 0] - (columns + 0.5)), np.abs(screen[:, 1] - (rows + 0.5)))
+    return error
+
+
+def surface_on_screen(
+    patches: Float[np.ndarray, "patches nu nv dim"],
+    view: View,
+    patch: Int[np.ndarray, "points"],
+    u: Float[np.ndarray, "points"],
+    v: Float[np.ndarray, "points"],
+) -> Float[np.ndarray, "points 3"]:
+    """P(p(u, v)): screen position in pixels and window depth of points of patches, float64."""
+    with jax.enable_x64(True):
+        control: Any = homogeneous(np.asarray(patches, np.float64)) @ np.asarray(view.world_to_screen).T
+        samples = np.column_stack([u, v, patch]).astype(np.float64)
+        positions = _evaluate(jnp.asarray(layout.pack(samples)), jnp.asarray(np.moveaxis(control, 0, -1)))
+        return np.asarray(layout.unpack(positions, len(samples)))
+
+
+@jax.jit
+def _evaluate(samples: Float[Any, "chunks 3 lanes"], control: Float[Any, "nu nv 4 patches"]) -> Any:
+    def positions(chunk: Any) -> Any:
+        own = control[..., chunk[2].astype(jnp.int32)]
+        point = evaluate_patch(own, chunk[0], chunk[1])
+        return point[:3] / point[3]
+
+    return layout.over_chunks(positions, samples)

@@ -1,0 +1,123 @@
+"""The papers' estimate of a factor from projected slefe boxes (2012, section 5; animation paper, section 3).
+
+Kernels run with the patches along the last axis (``slefejax.layout``): control points ``(du+1, dv+1, 3, lanes)``.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax.lax import select
+from jaxtyping import Array, Bool, Float
+
+from slefejax.slefe import enclose_patch
+from slefejax.view import View
+
+Grid = Float[Array, "bu bv lanes"]
+
+
+class Projection(NamedTuple):
+    """What the estimate needs to know of a view."""
+
+    to_screen: Any  # (4, 4): world to undivided pixels, window depth, W
+    frustum: Any  # (6, 4): linear in the homogeneous world point, all at least 0 inside the view volume
+    near_w: Any  # W of the near plane
+
+    @staticmethod
+    def of(view: View) -> Projection:
+        """Left, right, bottom, top, near and far plane from the rows X, Y, Z, W of ``view.world_to_screen``."""
+        matrix = view.world_to_screen
+        x, y, z, w = matrix[0], matrix[1], matrix[2], matrix[3]
+        planes = [x, view.width * w - x, y, view.height * w - y, z, w - z]
+        xp = np if isinstance(matrix, np.ndarray) else jnp
+        return Projection(matrix, xp.stack(planes), view.camera.near_w)
+
+
+def slefe_factor(
+    control: Float[Array, "nu nv 3 lanes"],
+    projection: Projection,
+    tolerance: Any,
+    depth_tolerance: Any,
+    k: Any,
+    segments: tuple[int, int],
+) -> Float[Array, "lanes"]:
+    """max(tau_xy, tau_z) (2012, eq 10), at least 1 where a tile is on the screen, 0 elsewhere."""
+    lower, upper = enclose_patch(control, segments)
+    visible = tiles_on_screen(lower, upper, projection.frustum)
+    width, depth = projected_widths(lower, upper, projection, with_depth=depth_tolerance is not None)
+    demand = visible_maximum(width, visible) / tolerance
+    if depth is not None:
+        demand = _larger(demand, visible_maximum(depth, visible) / depth_tolerance)
+    factor = tau(demand, k, max(segments))
+    return jnp.where(jnp.any(visible, axis=(0, 1)), factor, 0.0)
+
+
+def tau(demand: Any, k: Any, m: int) -> Any:
+    """tau = k_m m sqrt(w / tolerance) (2012, eq 9; animation paper, eq 7), but at least 1.
+
+    Below 1 it is constant, so its gradient there is 0, and finite at w = 0.
+    """
+    square = (k * m) ** 2 * demand
+    return jnp.sqrt(_larger(square, jnp.ones_like(square)))
+
+
+def tiles_on_screen(lower: Any, upper: Any, frustum: Float[Array, "6 4"]) -> Bool[Array, "mu mv lanes"]:
+    """The Q-test: a tile is off-screen if its four boxes lie outside of one and the same plane of the view volume.
+
+    Where W > 0 this is the test of the rectangle Q against the screen (2012, section 6), with near and far added; it
+    needs no division, so it holds for boxes at and behind the camera too.
+    """
+    centre, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
+    outside = None
+    for plane in frustum:
+        reach = plane[3]
+        for axis in range(3):
+            reach = reach + (plane[axis] * centre[:, :, axis] + jnp.abs(plane[axis]) * half[:, :, axis])
+        beyond = reach < 0
+        whole = beyond[:-1, :-1] & beyond[1:, :-1] & beyond[:-1, 1:] & beyond[1:, 1:]
+        outside = whole if outside is None else outside | whole
+    assert outside is not None
+    return ~outside
+
+
+def visible_maximum(width: Grid, visible: Bool[Array, "mu mv lanes"]) -> Float[Array, "lanes"]:
+    """The largest width (2012, eq 8) over the boxes of at least one tile that is on the screen; 0 if there is none."""
+    inside = jnp.pad(visible, ((1, 1), (1, 1), (0, 0)))
+    counts = inside[:-1, :-1] | inside[1:, :-1] | inside[:-1, 1:] | inside[1:, 1:]
+    shown = jnp.where(counts, width, 0.0)
+    largest = shown[0, 0]
+    for i, j in product(range(shown.shape[0]), range(shown.shape[1])):
+        largest = _larger(largest, shown[i, j])
+    return largest
+
+
+def projected_widths(lower: Any, upper: Any, projection: Projection, with_depth: bool) -> tuple[Grid, Grid | None]:
+    """Longer side of the rectangle around each projected box (2012, eq 7 and 8), pixels; its extent in window depth.
+
+    A corner with W below that of the near plane is measured in the near plane.
+    """
+    matrix, ends = projection.to_screen, (lower, upper)
+    parts = [[[row[a] * end[:, :, a] for end in ends] for a in range(3)] for row in matrix]
+    rows = range(3) if with_depth else range(2)
+    low, high = [None] * 3, [None] * 3
+    for corner in product((0, 1), repeat=3):
+        position = [sum(p[a][corner[a]] for a in range(3)) + row[3] for p, row in zip(parts, matrix, strict=True)]
+        inverse = 1.0 / _larger(position[3], jnp.full_like(position[3], projection.near_w))
+        for r in rows:
+            s = position[r] * inverse
+            low[r] = s if low[r] is None else _smaller(low[r], s)
+            high[r] = s if high[r] is None else _larger(high[r], s)
+    extent = [high[r] - low[r] for r in rows]  # type: ignore[operator]
+    return _larger(extent[0], extent[1]), extent[2] if with_depth else None
+
+
+def _larger(a: Any, b: Any) -> Any:
+    # select instead of jnp.maximum: 4 to 6 times faster on the CPU
+    return select(a > b, a, b)
+
+
+def _smaller(a: Any, b: Any) -> Any:
+    return select(a < b, a, b)

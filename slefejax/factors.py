@@ -1,0 +1,158 @@
+"""Tessellation factors of patches in a view: one call for every method (MATH.md, section 3)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float, Int
+
+from slefejax import layout
+from slefejax.edges import edge_maxima, shared_edges
+from slefejax.errors import InputError
+from slefejax.estimate import Projection, slefe_factor
+from slefejax.slefe import check_patches, segment_pair
+from slefejax.view import View
+
+METHODS = ("slefe",)
+
+
+@jax.tree_util.register_pytree_node_class
+@dataclass(frozen=True)
+class Factors:
+    """Tessellation factors of a batch of patches.
+
+    factor       : ``(patches,)``, real, before rounding up; 0 for a patch that is off-screen
+    edge_numbers : ``(patches, 4)``, equal where edges are shared (``slefejax.edges``); None inside a trace
+    """
+
+    factor: Float[Array | np.ndarray, "patches"]
+    edge_numbers: Int[np.ndarray, "patches 4"] | None = None
+
+    @cached_property
+    def levels(self) -> Int[np.ndarray, "patches"]:
+        """The factors rounded up to whole numbers."""
+        return np.ceil(np.asarray(self.factor)).astype(np.int64)
+
+    @cached_property
+    def inner(self) -> Int[np.ndarray, "patches 2"]:
+        """Inner levels along u and v, whole numbers."""
+        return np.repeat(self.levels[:, None], 2, axis=1)
+
+    @cached_property
+    def edges(self) -> Int[np.ndarray, "patches 4"]:
+        """Outer levels at u=0, v=0, u=1, v=1 (OpenGL's order): the larger of the two neighbours', 0 off-screen."""
+        if self.edge_numbers is None:
+            raise InputError(
+                "edge levels need concrete control points: call tessellation_factors outside of jit and grad"
+            )
+        return edge_maxima(self.levels, self.edge_numbers)
+
+    def scaled(self, scale: float) -> Factors:
+        """The same with every factor multiplied by ``scale`` > 0, to see whether less would do."""
+        if not scale > 0:
+            raise InputError(f"a scale must be positive, not {scale}")
+        return replace(self, factor=self.factor * scale)
+
+    def tree_flatten(self) -> tuple[tuple[Any], None]:
+        """For JAX: the factor is data; edge numbers belong to concrete patches and are left behind."""
+        return (self.factor,), None
+
+    @classmethod
+    def tree_unflatten(cls, _: None, children: tuple[Any]) -> Factors:
+        """For JAX: the inverse of ``tree_flatten``."""
+        return cls(*children)
+
+
+def tessellation_factors(
+    patches: Float[Array | np.ndarray, "patches nu nv dim"],
+    view: View,
+    method: str = "slefe",
+    *,
+    segments: int | tuple[int, int] = 3,
+    tolerance: Any = 0.5,
+    depth_tolerance: Any = None,
+    k: Any = 1.0,
+    edge_numbers: Int[np.ndarray, "patches 4"] | None = None,
+) -> Factors:
+    """How finely each patch must be cut so that pixels are right to within ``tolerance``.
+
+    patches         : control points ``(patches, du+1, dv+1, 3)``, u before v, any bi-degree
+    view            : camera and picture size
+    method          : ``"slefe"``, the estimate of the papers: k m sqrt(w / tolerance), with w the width in pixels of
+                      the slefe boxes on the screen (2012, eq 7 to 10; animation paper, eq 7). It is not a bound.
+    segments        : m, or (m_u, m_v); static
+    tolerance       : pixels
+    depth_tolerance : window depth (0 to 1), or None for no depth test
+    k               : the constant k_m
+    edge_numbers    : the result of ``shared_edges``, if it is already known
+
+    Returns Factors: ``.factor`` (at least 1 on the screen, 0 off it), ``.inner`` and ``.edges``.
+    Only tiles whose boxes reach into the view volume count. Where a box touches or lies behind the near plane it is
+    measured as if it lay in it, which is as near as anything is drawn; nothing is divided by a smaller W.
+    Differentiable by patches, camera, tolerance and k.
+
+    Raises InputError for wrong shapes, control points that are not finite (with the patch's number), segments < 1,
+    or a tolerance or k that is not positive.
+
+    >>> from slefejax import Camera, load
+    >>> scene = load("teapot")
+    >>> view = View(Camera.look_at((4.5, -6.0, 4.0), (0.0, 0.0, 1.2)), width=1440, height=900)
+    >>> tessellation_factors(scene.patches(), view).factor.shape
+    (32,)
+    """
+    patches = check_patches(patches)
+    if patches.shape[3] == 4:
+        raise InputError("method 'slefe' takes polynomial patches, (patches, du+1, dv+1, 3): these are rational")
+    if method not in METHODS:
+        raise InputError(f"there is no method {method!r}: choose one of {', '.join(METHODS)}")
+    for name, value in (("tolerance", tolerance), ("depth_tolerance", depth_tolerance), ("k", k)):
+        _check_positive(name, value)
+    dtype = jax.dtypes.canonicalize_dtype(patches.dtype)
+    projection = jax.tree.map(partial(jnp.asarray, dtype=dtype), Projection.of(view))
+    scales = [None if x is None else jnp.asarray(x, dtype) for x in (tolerance, depth_tolerance, k)]
+    packed = jnp.asarray(layout.pack(patches))
+    chunks = _factors_jit(packed, projection, scales, segment_pair(segments))
+    factor = layout.unpack(chunks, len(patches))
+    if isinstance(factor, Tracer):
+        return Factors(factor, edge_numbers)
+    _check_result(np.asarray(factor), np.asarray(patches))
+    return Factors(factor, shared_edges(np.asarray(patches)) if edge_numbers is None else edge_numbers)
+
+
+@jax.jit(static_argnums=3)
+def _factors_jit(packed: Any, projection: Projection, scales: list, segments: tuple[int, int]) -> Any:
+    return layout.over_chunks(_unless_bad(partial(slefe_factor, segments=segments)), packed, projection, *scales)
+
+
+def _unless_bad(kernel: Callable[..., Any]) -> Callable[..., Any]:
+    """The kernel with NaN for every patch that has a control point that is not finite (selects would hide it)."""
+
+    def checked(control: Any, *arguments: Any) -> Any:
+        fine = jnp.all(jnp.isfinite(control), axis=(0, 1, 2))
+        return jnp.where(fine, kernel(control, *arguments), jnp.nan)
+
+    return checked
+
+
+def _check_positive(name: str, value: Any) -> None:
+    if value is None or isinstance(value, Tracer):
+        return
+    if not (np.ndim(value) == 0 and np.isfinite(value) and value > 0):
+        raise InputError(f"{name} must be a positive number, not {value}")
+
+
+def _check_result(factor: np.ndarray, patches: np.ndarray) -> None:
+    bad = np.flatnonzero(~np.isfinite(factor))
+    if bad.size == 0:
+        return
+    where = f"patch {bad[0]}" + (f" and {bad.size - 1} more" if bad.size > 1 else "")
+    if not np.isfinite(patches[bad[0]]).all():
+        raise InputError(f"{where} (counted from 0) has control points that are not finite numbers: repair or drop it")
+    raise InputError(f"the factor of {where} (counted from 0) overflows {factor.dtype}: scale the scene")

@@ -1,0 +1,204 @@
+"""Slefes: tight piecewise-linear enclosures of polynomials and of tensor-product patches.
+
+A polynomial of degree d in Bézier form is its chord plus a combination of d-1 fixed convex functions,
+p = l + sum_j D_j a_j, with D_j = c_(j-1) - 2 c_j + c_(j+1) its second differences and a_j the polynomial
+with end coefficients 0 whose own second differences are all 0 but the j-th, which is 1. Bounds of the
+a_j by piecewise-linear functions over m equal segments, tabulated once, bound every polynomial of that
+degree (MATH.md, section 2; 2012, eq 2; animation paper, eq 4).
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from slefejax import layout
+from slefejax.bezier import second_differences
+from slefejax.errors import InputError
+from slefejax.slefe_tables import build_table
+
+Coefficients = Float[Array | np.ndarray, "..."]
+
+
+class SlefeTable(NamedTuple):
+    """Breakpoint values of the bounds of a_1 ... a_(d-1): row j-1 belongs to a_j, one column a breakpoint."""
+
+    lower: Float[np.ndarray, "rows breakpoints"]
+    upper: Float[np.ndarray, "rows breakpoints"]
+
+
+class Slefe(NamedTuple):
+    """Breakpoint values of a piecewise-linear enclosure, ``lower <= p <= upper`` between them too."""
+
+    lower: Any
+    upper: Any
+
+
+@lru_cache(maxsize=256)
+def slefe_table(degree: int, segments: int) -> SlefeTable:
+    """The table of degree ``degree`` with ``segments`` equal pieces, computed once and kept.
+
+    Returns ``.lower`` and ``.upper``, each ``(degree-1, segments+1)`` float64, read-only; row j-1 holds the
+    values of the bounds of a_j at the breakpoints 0, 1/segments, ..., 1 (MATH.md, section 2; Table 1 of the
+    papers is degree 3 with 3 segments).
+
+    The upper bound of the convex a_j is its own chord interpolant. The lower bound makes the largest gap
+    over the breakpoints as small as possible, then the next largest, and so on. Both are rounded outwards:
+    the upper to the next float64, the lower by 2**-48 of the largest value of |a_j|, which covers all rounding
+    of its computation. Row d-j is row j reversed, bit for bit.
+
+    Raises InputError for a degree below 2 or fewer than one segment.
+
+    >>> slefe_table(3, 3).lower.round(6)
+    array([[-0.069521, -0.439892, -0.315352, -0.008733],
+           [-0.008733, -0.315352, -0.439892, -0.069521]])
+    """
+    check_segments(segments)
+    if isinstance(degree, bool) or not isinstance(degree, (int, np.integer)) or degree < 2:
+        raise InputError(f"a slefe table needs a whole degree of at least 2, not {degree!r}: lines are their own bound")
+    lower, upper = build_table(int(degree), int(segments))
+    lower.flags.writeable = upper.flags.writeable = False
+    return SlefeTable(lower, upper)
+
+
+def check_segments(segments: Any) -> None:
+    """Raise InputError unless ``segments`` is a whole number of at least 1."""
+    if isinstance(segments, bool) or not isinstance(segments, (int, np.integer)) or segments < 1:
+        raise InputError(f"the number of segments must be a whole number of at least 1, not {segments!r}")
+
+
+def slefe(coefficients: Coefficients, segments: int, axis: int = -1) -> Slefe:
+    """The slefe of polynomials of any degree >= 1 (MATH.md, section 2; 2012, eq 2).
+
+    coefficients : Bézier coefficients, degree + 1 of them along ``axis``; other axes are carried along
+    segments     : number m of equal pieces
+    returns      : ``.lower`` and ``.upper`` in the dtype of the coefficients, with m+1 breakpoint values along ``axis``
+
+    Between the breakpoints the bounds are the linear interpolants. A polynomial of degree 1 is its own slefe.
+    Raises InputError for fewer than two coefficients or fewer than one segment.
+
+    >>> enclosure = slefe(np.array([0.0, 0.0, 1.0]), segments=1)
+    >>> enclosure.upper.round(3).tolist(), enclosure.lower.round(3).tolist()
+    ([0.0, 1.0], [-0.25, 0.75])
+    """
+    check_segments(segments)
+    coefficients = _inexact(coefficients)
+    if coefficients.ndim == 0 or coefficients.shape[axis] < 2:
+        raise InputError("a slefe needs at least two coefficients along its axis (degree 1 or more)")
+    lower, upper = _slefe_jit(coefficients, int(segments), axis)
+    return Slefe(lower, upper)
+
+
+def slefe_boxes(patches: Float[Array | np.ndarray, "patches nu nv dim"], segments: int | tuple[int, int]) -> Slefe:
+    """Slefe boxes of tensor-product patches of any bi-degree (2012, eq 6; animation paper, eq 5).
+
+    patches  : control points ``(patches, du+1, dv+1, dim)``, u before v; every coordinate by itself
+    segments : m, or (m_u, m_v)
+    returns  : ``.lower`` and ``.upper``, ``(patches, m_u+1, m_v+1, dim)``, in the dtype of the control points
+
+    The bilinear interpolants of the four corners of a tile enclose the patch on that tile: bounds in v first, and
+    their bounds in u then (appendix of the 2012 paper). Raises InputError for a wrong shape or segments < 1.
+
+    >>> flat = np.zeros((5, 4, 4, 3))
+    >>> slefe_boxes(flat, 3).upper.shape
+    (5, 4, 4, 3)
+    """
+    patches = check_patches(patches, dims=None)
+    lower, upper = _boxes_jit(jnp.asarray(layout.pack(patches)), segment_pair(segments))
+    return Slefe(layout.unpack(lower, len(patches)), layout.unpack(upper, len(patches)))
+
+
+def segment_pair(segments: Any) -> tuple[int, int]:
+    """(m_u, m_v) from one number or two. Raises InputError otherwise."""
+    pair = tuple(segments) if isinstance(segments, (tuple, list)) else (segments, segments)
+    if len(pair) != 2:
+        raise InputError(f"segments must be one number or a pair (along u, along v), not {segments!r}")
+    for m in pair:
+        check_segments(m)
+    return int(pair[0]), int(pair[1])
+
+
+def check_patches(patches: Any, dims: tuple[int, ...] | None = (3, 4)) -> Any:
+    """Patches as an array ``(patches, du+1, dv+1, dim)`` of floats; InputError says what is wrong with its shape."""
+    try:
+        patches = _inexact(patches)
+    except (ValueError, TypeError) as error:
+        raise InputError("patches must be one array of numbers: are its rows of different lengths?") from error
+    if patches.ndim != 4:
+        raise InputError(f"patches must have shape (patches, du+1, dv+1, 3), not {tuple(patches.shape)}")
+    if patches.shape[0] == 0:
+        raise InputError("there are no patches: at least one is needed")
+    if min(patches.shape[1:3]) < 2:
+        raise InputError(f"patches need a degree of at least 1 in u and v, not shape {tuple(patches.shape)}")
+    if dims is not None and patches.shape[3] not in dims:
+        raise InputError(f"control points must have {' or '.join(map(str, dims))} coordinates, not {patches.shape[3]}")
+    return patches
+
+
+def _inexact(values: Any) -> Any:
+    """Numbers as a floating-point array, in the dtype that they have (integers: the default)."""
+    array = values if isinstance(values, (jax.Array, np.ndarray)) else np.asarray(values)
+    if array.dtype == object or not np.issubdtype(array.dtype, np.number):
+        raise InputError(f"numbers are needed, not an array of {array.dtype}: are its rows of different lengths?")
+    return array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(np.float64)
+
+
+def enclose(coefficients: Float[Array, "n *rest"], segments: int) -> tuple[Any, Any]:
+    """Lower and upper breakpoint values along the first axis, for use inside kernels (2012, eq 2).
+
+    upper = l + sum_j max(0, D_j) a_up_j + min(0, D_j) a_low_j; lower with max and min exchanged.
+    """
+    steps = [b / segments for b in range(segments + 1)]
+    chord = jnp.stack([(1.0 - t) * coefficients[0] + t * coefficients[-1] for t in steps])
+    degree = coefficients.shape[0] - 1
+    if degree == 1:
+        return chord, chord
+    tables = _as_dtype(slefe_table(degree, segments), coefficients.dtype)
+    lower = upper = chord
+    column = (slice(None),) + (None,) * (coefficients.ndim - 1)
+    for difference, low, up in zip(second_differences(coefficients), tables.lower, tables.upper, strict=True):
+        # select, not jnp.maximum: several times faster on the CPU (it does not propagate NaN: inputs are checked apart)
+        positive = jax.lax.select(difference > 0, difference, jnp.zeros_like(difference))
+        negative = difference - positive
+        upper = upper + (positive * up[column] + negative * low[column])
+        lower = lower + (positive * low[column] + negative * up[column])
+    return lower, upper
+
+
+def enclose_patch(control: Float[Array, "nu nv *rest"], segments: tuple[int, int]) -> tuple[Any, Any]:
+    """Tensor-product enclosure ``(m_u+1, m_v+1, *rest)``: bounds in v, then lower of lower and upper of upper in u."""
+    across_lower, across_upper = enclose(jnp.swapaxes(control, 0, 1), segments[1])
+    lower, _ = enclose(jnp.swapaxes(across_lower, 0, 1), segments[0])
+    _, upper = enclose(jnp.swapaxes(across_upper, 0, 1), segments[0])
+    return lower, upper
+
+
+@lru_cache(maxsize=512)
+def _cast_outwards(degree: int, segments: int, name: str) -> SlefeTable:
+    dtype, table = np.dtype(name), slefe_table(degree, segments)
+    lower, upper = table.lower.astype(dtype), table.upper.astype(dtype)
+    down, up = np.asarray(-np.inf, dtype), np.asarray(np.inf, dtype)
+    lower = np.where(lower > table.lower, np.nextafter(lower, down), lower)
+    return SlefeTable(lower, np.where(upper < table.upper, np.nextafter(upper, up), upper))
+
+
+def _as_dtype(table: SlefeTable, dtype: Any) -> SlefeTable:
+    """The table in another dtype, rounded outwards again."""
+    degree, segments = table.lower.shape[0] + 1, table.lower.shape[1] - 1
+    return _cast_outwards(degree, segments, np.dtype(dtype).name)
+
+
+@jax.jit(static_argnums=(1, 2))
+def _slefe_jit(coefficients: Any, segments: int, axis: int) -> tuple[Any, Any]:
+    lower, upper = enclose(jnp.moveaxis(coefficients, axis, 0), segments)
+    return jnp.moveaxis(lower, 0, axis), jnp.moveaxis(upper, 0, axis)
+
+
+@jax.jit(static_argnums=1)
+def _boxes_jit(packed: Any, segments: tuple[int, int]) -> tuple[Any, Any]:
+    return layout.over_chunks(enclose_patch, packed, segments)

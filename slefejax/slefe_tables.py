@@ -1,0 +1,122 @@
+"""How the slefe tables are computed: the lexicographically optimal bounds of the a_j.
+
+a_j has degree d, end coefficients 0, and the j-th second difference 1, all others 0. It is convex with
+a_j'' = d (d-1) b_(j-1)^(d-2) (MATH.md, section 2). On one segment write a_j = chord + sag, the sag convex,
+at most 0, and 0 at both ends. A line that lies g_0 below a_j at the left breakpoint and g_1 below it at the right
+one stays below a_j between them exactly if g_1 >= phi(g_0), where phi decreases: the line through the left
+point that touches a_j. So the smallest gap that both ends of a segment can share is the depth of
+its sag, reached only with both gaps equal to it; and a segment of which one gap is settled forces the other
+to be at least phi of it.
+
+Lexicographic optimum: take the largest of these demands over all segments. Nothing can do with less, and
+nothing needs more, so it is the optimal largest gap; settle the breakpoints that it belongs to, and go on
+with what is left, which has fallen apart into independent chains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from fractions import Fraction
+from math import comb
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import brentq
+
+from slefejax.bezier import derivative, evaluate_curve, restrict
+
+# Relative to the largest |a_j|: sixteen units in the last place of float64, several times what the computation loses.
+OUTWARD = 2.0**-48
+
+
+def basis_coefficients(degree: int, j: int) -> list[Fraction]:
+    """Exact Bézier coefficients of a_j: -i (d-j)/d up to i = j, -j (d-i)/d from there (MATH.md, section 2)."""
+    return [Fraction(-min(i * (degree - j), j * (degree - i)), degree) for i in range(degree + 1)]
+
+
+def build_table(
+    degree: int, segments: int
+) -> tuple[Float[np.ndarray, "rows breakpoints"], Float[np.ndarray, "rows breakpoints"]]:
+    """(lower, upper) of ``slefe_table``; half of the rows are computed, the others are their mirror images."""
+    lower = np.empty((degree - 1, segments + 1))
+    upper = np.empty((degree - 1, segments + 1))
+    for j in range(1, degree // 2 + 1):
+        low, up = _row(degree, j, segments)
+        if 2 * j == degree:
+            low, up = np.minimum(low, low[::-1]), np.maximum(up, up[::-1])
+        lower[j - 1], upper[j - 1] = low, up
+        lower[degree - j - 1], upper[degree - j - 1] = low[::-1], up[::-1]
+    return lower, upper
+
+
+def _row(degree: int, j: int, segments: int) -> tuple[np.ndarray, np.ndarray]:
+    upper = np.array([_value_rounded_up(degree, j, i, segments) for i in range(segments + 1)])
+    margin = OUTWARD * float(max(-c for c in basis_coefficients(degree, j)))
+    return upper - _lexicographic_gaps(_sags(degree, j, segments)) - margin, upper
+
+
+def _value_rounded_up(degree: int, j: int, i: int, segments: int) -> float:
+    """The smallest float64 that is at least a_j(i/segments)."""
+    terms = [
+        c * comb(degree, k) * i**k * (segments - i) ** (degree - k) for k, c in enumerate(basis_coefficients(degree, j))
+    ]
+    exact = sum(terms, Fraction(0)) / segments**degree
+    value = float(exact)
+    return value if Fraction(value) >= exact else float(np.nextafter(value, np.inf))
+
+
+def _sags(degree: int, j: int, segments: int) -> list[np.ndarray]:
+    """Bézier coefficients of a_j minus its chord on every segment, accurate relative to their own size.
+
+    They are built from the second differences, which are non-negative: those of a_j on [t, t+h] are h^2 times the
+    coefficients of b_(j-1)^(d-2) restricted to it.
+    """
+    basis = np.array([[float(c) for c in basis_coefficients(degree, k)] for k in range(1, degree)])
+    unit = np.zeros(degree - 1)
+    unit[j - 1] = 1.0
+    ends = [(i / segments, (i + 1) / segments) for i in range(segments)]
+    return [restrict(unit, *end) @ basis / segments**2 for end in ends]
+
+
+def _lexicographic_gaps(sags: list[np.ndarray]) -> Float[np.ndarray, "breakpoints"]:
+    """The gaps at the breakpoints, the largest as small as possible, then the next (module docstring)."""
+    gaps = np.full(len(sags) + 1, np.nan)
+    demands = {i: (_shared_gap(sag), [i, i + 1]) for i, sag in enumerate(sags)}
+    while demands:
+        demand, places = demands.pop(max(demands, key=lambda i: demands[i][0]))
+        gaps[places] = demand
+        for i in {k for b in places for k in (b - 1, b)} & demands.keys():
+            left, right = gaps[i], gaps[i + 1]
+            if np.isnan(left) and not np.isnan(right):
+                demands[i] = (_forced_gap(sags[i][::-1], right), [i])
+            elif np.isnan(right) and not np.isnan(left):
+                demands[i] = (_forced_gap(sags[i], left), [i + 1])
+            else:
+                del demands[i]
+    return gaps
+
+
+def _shared_gap(sag: np.ndarray) -> float:
+    """The smallest gap that both ends of a segment can share: the depth of its sag, where the slope is 0."""
+    slope = derivative(sag)
+    return -_at(sag, _root(lambda s: _at(slope, s)))
+
+
+def _forced_gap(sag: np.ndarray, gap: float) -> float:
+    """phi(gap): the least gap at the right end when the left end has ``gap``, by the line that touches the sag."""
+    slope = derivative(sag)
+    touch = _root(lambda s: s * _at(slope, s) - _at(sag, s) - gap)
+    return max(0.0, gap - _at(slope, touch))
+
+
+def _root(increasing: Callable[[float], float]) -> float:
+    """Where an increasing function on [0, 1] passes 0, or the end that is nearest to that."""
+    if increasing(0.0) >= 0.0:
+        return 0.0
+    if increasing(1.0) <= 0.0:
+        return 1.0
+    return float(brentq(increasing, 0.0, 1.0, xtol=1e-16, rtol=4 * np.finfo(float).eps))  # type: ignore[arg-type]
+
+
+def _at(coefficients: np.ndarray, s: float) -> float:
+    return float(evaluate_curve(coefficients, np.float64(s)))
