@@ -7,12 +7,12 @@ from typing import Annotated
 
 import jax
 import tyro
-from slefejax.experiments.doctor import Doctor
-from slefejax.experiments.factors import FactorsOfScene
-from slefejax.experiments.minimality import Minimality
 from tyro.conf import subcommand
 
 from slefejax.errors import InputError, NoOpenGLError
+from slefejax.experiments.doctor import Doctor
+from slefejax.experiments.factors import FactorsOfScene
+from slefejax.experiments.minimality import Minimality
 
 Command = (
     Annotated[Minimality, subcommand("minimality")]

@@ -10,11 +10,11 @@ from importlib.metadata import PackageNotFoundError, version
 import jax
 from rich.console import Console
 from rich.table import Table
+
+from slefejax.errors import NoOpenGLError
 from slefejax.experiments.store import PACKAGES
 from slefejax.gpu import open_device
 from slefejax.gpu.selftest import wrong_pixels
-
-from slefejax.errors import NoOpenGLError
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,12 @@ from dataclasses import asdict, dataclass, field
 
 import numpy as np
 import tyro
-from slefejax.experiments.options import OutputOptions, PredictionOptions, ViewOptions
-from slefejax.experiments.report import Report
-from slefejax.experiments.store import Run
 
 from slefejax import load, tessellation_factors
 from slefejax.edges import EDGES
+from slefejax.experiments.options import OutputOptions, PredictionOptions, ViewOptions
+from slefejax.experiments.report import Report
+from slefejax.experiments.store import Run
 from slefejax.tessellator import triangle_counts
 
 

@@ -54,11 +54,16 @@ class Report:
 
 
 def _table(title: str, rows: list[dict[str, Any]]) -> Table:
-    """The first rows; what is the same in all of them stands once, below."""
+    """The first rows; what is the same in all of them stands once, below. A single row is shown as a column."""
+    if len(rows) == 1:
+        table = Table("", "", title=title, title_justify="left", box=box.SIMPLE_HEAD, show_header=False)
+        for name, value in rows[0].items():
+            table.add_row(_heading(name), _text(name, value))
+        return table
     constant = {name: value for name, value in rows[0].items() if all(row[name] == value for row in rows)}
-    columns = [name for name in rows[0] if len(rows) == 1 or name not in constant]
+    columns = [name for name in rows[0] if name not in constant]
     shared = ", ".join(f"{_heading(name)} {_text(name, value)}" for name, value in constant.items())
-    caption = f"in every row: {shared}" if shared and len(rows) > 1 else None
+    caption = f"in every row: {shared}" if shared else None
     table = Table(title=title, caption=caption, title_justify="left", caption_justify="left", box=box.SIMPLE_HEAD)
     for name in columns:
         table.add_column(_heading(name), justify="right", no_wrap=True)

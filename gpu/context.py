@@ -12,7 +12,7 @@ from slefejax.errors import NoOpenGLError
 
 OPENGL = 430
 PACKAGES = "libegl1 libgl1 libgl1-mesa-dri"
-_MAX_TESS_GEN_LEVEL = "GL_MAX_TESS_GEN_LEVEL"
+HIGHEST_LEVEL = 64  # of tessellation: what OpenGL guarantees, and what drivers offer
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,7 @@ class Device:
     renderer: str
     version: str
     highest_level: int
+    largest_picture: int  # pixels a side
     thread: int
 
     def check_thread(self) -> None:
@@ -81,11 +82,7 @@ def _describe(context: Any) -> Device:
         home=context.framebuffer([context.renderbuffer((1, 1))]),
         renderer=str(info["GL_RENDERER"]),
         version=str(info["GL_VERSION"]),
-        highest_level=_highest_level(context),
+        highest_level=HIGHEST_LEVEL,
+        largest_picture=min(int(info["GL_MAX_RENDERBUFFER_SIZE"]), *map(int, info["GL_MAX_VIEWPORT_DIMS"])),
         thread=threading.get_ident(),
     )
-
-
-def _highest_level(context: Any) -> int:
-    """The largest tessellation level; OpenGL guarantees 64 and moderngl does not ask for it."""
-    return int(context.info.get(_MAX_TESS_GEN_LEVEL, 64))

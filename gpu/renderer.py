@@ -66,7 +66,8 @@ class Renderer:
     def __init__(self, patches: Float[np.ndarray, "patches nu nv dim"], device: Device | None = None) -> None:
         self.device = device or open_device()
         self.device.check_thread()
-        control = np.ascontiguousarray(patches, np.float32)
+        with np.errstate(over="ignore"):
+            control = np.ascontiguousarray(patches, np.float32)
         if not np.isfinite(control).all():
             bad = np.flatnonzero(~np.isfinite(control).all(axis=(1, 2, 3)))[0]
             raise InputError(f"patch {bad} (counted from 0) has control points that are not finite float32 numbers")
@@ -162,6 +163,11 @@ class Renderer:
         if self._target is None or self._target[0] != size:
             self._release_target()
             context = self.device.context
+            if max(size) > self.device.largest_picture:
+                raise InputError(
+                    f"a picture of {size[0]} x {size[1]} pixels is too large for {self.device.renderer}:"
+                    f" its limit is {self.device.largest_picture} pixels a side"
+                )
             colour = context.renderbuffer(size, 4, dtype="f4")
             self._target = (size, context.framebuffer([colour], context.depth_renderbuffer(size)))
         return self._target[1]

@@ -14,10 +14,10 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from slefejax import layout
+from slefejax.arguments import Number, Patches, Segments, check_patches, check_positive, segment_pair
 from slefejax.edges import edge_maxima, shared_edges
 from slefejax.errors import InputError
 from slefejax.estimate import Projection, slefe_factor
-from slefejax.slefe import check_patches, segment_pair
 from slefejax.view import View
 
 METHODS = ("slefe",)
@@ -71,14 +71,14 @@ class Factors:
 
 
 def tessellation_factors(
-    patches: Float[Array | np.ndarray, "patches nu nv dim"],
+    patches: Patches,
     view: View,
     method: str = "slefe",
     *,
-    segments: int | tuple[int, int] = 3,
-    tolerance: Any = 0.5,
-    depth_tolerance: Any = None,
-    k: Any = 1.0,
+    segments: Segments = 3,
+    tolerance: Number = 0.5,
+    depth_tolerance: Number | None = None,
+    k: Number = 1.0,
     edge_numbers: Int[np.ndarray, "patches 4"] | None = None,
 ) -> Factors:
     """How finely each patch must be cut so that pixels are right to within ``tolerance``.
@@ -113,7 +113,8 @@ def tessellation_factors(
     if method not in METHODS:
         raise InputError(f"there is no method {method!r}: choose one of {', '.join(METHODS)}")
     for name, value in (("tolerance", tolerance), ("depth_tolerance", depth_tolerance), ("k", k)):
-        _check_positive(name, value)
+        if value is not None:
+            check_positive(name, value)
     dtype = jax.dtypes.canonicalize_dtype(patches.dtype)
     projection = jax.tree.map(partial(jnp.asarray, dtype=dtype), Projection.of(view))
     scales = [None if x is None else jnp.asarray(x, dtype) for x in (tolerance, depth_tolerance, k)]
@@ -132,20 +133,17 @@ def _factors_jit(packed: Any, projection: Projection, scales: list, segments: tu
 
 
 def _unless_bad(kernel: Callable[..., Any]) -> Callable[..., Any]:
-    """The kernel with NaN for every patch that has a control point that is not finite (selects would hide it)."""
+    """The kernel with NaN for a patch with control points that are not finite, or so large that their images are not.
 
-    def checked(control: Any, *arguments: Any) -> Any:
-        fine = jnp.all(jnp.isfinite(control), axis=(0, 1, 2))
-        return jnp.where(fine, kernel(control, *arguments), jnp.nan)
+    The kernels' selects would hide such values.
+    """
+
+    def checked(control: Any, projection: Projection, *arguments: Any) -> Any:
+        # a sum of four products of points and matrix entries, differences of such sums, and the picture's size
+        image = 64 * jnp.max(jnp.abs(control), axis=(0, 1, 2)) * jnp.max(jnp.abs(projection.frustum))
+        return jnp.where(jnp.isfinite(image), kernel(control, projection, *arguments), jnp.nan)
 
     return checked
-
-
-def _check_positive(name: str, value: Any) -> None:
-    if value is None or isinstance(value, Tracer):
-        return
-    if not (np.ndim(value) == 0 and np.isfinite(value) and value > 0):
-        raise InputError(f"{name} must be a positive number, not {value}")
 
 
 def _check_result(factor: np.ndarray, patches: np.ndarray) -> None:

@@ -70,7 +70,7 @@ def load(path: str | Path) -> Scene:
 
 def _common_degree(patches: list[np.ndarray]) -> tuple[np.ndarray, tuple[str, ...]]:
     degrees = np.array([np.subtract(patch.shape[:2], 1) for patch in patches])
-    du, dv = degrees.max(axis=0)
+    du, dv = degrees.max(axis=0).tolist()
     raised = int(np.any(degrees != (du, dv), axis=1).sum())
     if raised == 0:
         return np.stack(patches), ()

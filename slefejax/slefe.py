@@ -18,11 +18,19 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slefejax import layout
+from slefejax.arguments import (
+    Numbers,
+    Patches,
+    Segments,
+    check_patches,
+    check_segments,
+    floating,
+    is_whole,
+    segment_pair,
+)
 from slefejax.bezier import second_differences
 from slefejax.errors import InputError
 from slefejax.slefe_tables import build_table
-
-Coefficients = Float[Array | np.ndarray, "..."]
 
 
 class SlefeTable(NamedTuple):
@@ -39,8 +47,7 @@ class Slefe(NamedTuple):
     upper: Any
 
 
-@lru_cache(maxsize=256)
-def slefe_table(degree: int, segments: int) -> SlefeTable:
+def slefe_table(degree: Any, segments: Any) -> SlefeTable:
     """The table of degree ``degree`` with ``segments`` equal pieces, computed once and kept.
 
     Returns ``.lower`` and ``.upper``, each ``(degree-1, segments+1)`` float64, read-only; row j-1 holds the
@@ -59,20 +66,19 @@ def slefe_table(degree: int, segments: int) -> SlefeTable:
            [-0.008733, -0.315352, -0.439892, -0.069521]])
     """
     check_segments(segments)
-    if isinstance(degree, bool) or not isinstance(degree, (int, np.integer)) or degree < 2:
+    if not is_whole(degree, 2):
         raise InputError(f"a slefe table needs a whole degree of at least 2, not {degree!r}: lines are their own bound")
-    lower, upper = build_table(int(degree), int(segments))
+    return _table(int(degree), int(segments))
+
+
+@lru_cache(maxsize=256)
+def _table(degree: int, segments: int) -> SlefeTable:
+    lower, upper = build_table(degree, segments)
     lower.flags.writeable = upper.flags.writeable = False
     return SlefeTable(lower, upper)
 
 
-def check_segments(segments: Any) -> None:
-    """Raise InputError unless ``segments`` is a whole number of at least 1."""
-    if isinstance(segments, bool) or not isinstance(segments, (int, np.integer)) or segments < 1:
-        raise InputError(f"the number of segments must be a whole number of at least 1, not {segments!r}")
-
-
-def slefe(coefficients: Coefficients, segments: int, axis: int = -1) -> Slefe:
+def slefe(coefficients: Numbers, segments: Any, axis: int = -1) -> Slefe:
     """The slefe of polynomials of any degree >= 1 (MATH.md, section 2; 2012, eq 2).
 
     coefficients : Bézier coefficients, degree + 1 of them along ``axis``; other axes are carried along
@@ -87,14 +93,14 @@ def slefe(coefficients: Coefficients, segments: int, axis: int = -1) -> Slefe:
     ([0.0, 1.0], [-0.25, 0.75])
     """
     check_segments(segments)
-    coefficients = _inexact(coefficients)
+    coefficients = floating(coefficients)
     if coefficients.ndim == 0 or coefficients.shape[axis] < 2:
         raise InputError("a slefe needs at least two coefficients along its axis (degree 1 or more)")
     lower, upper = _slefe_jit(coefficients, int(segments), axis)
     return Slefe(lower, upper)
 
 
-def slefe_boxes(patches: Float[Array | np.ndarray, "patches nu nv dim"], segments: int | tuple[int, int]) -> Slefe:
+def slefe_boxes(patches: Patches, segments: Segments) -> Slefe:
     """Slefe boxes of tensor-product patches of any bi-degree (2012, eq 6; animation paper, eq 5).
 
     patches  : control points ``(patches, du+1, dv+1, dim)``, u before v; every coordinate by itself
@@ -111,41 +117,6 @@ def slefe_boxes(patches: Float[Array | np.ndarray, "patches nu nv dim"], segment
     patches = check_patches(patches, dims=None)
     lower, upper = _boxes_jit(jnp.asarray(layout.pack(patches)), segment_pair(segments))
     return Slefe(layout.unpack(lower, len(patches)), layout.unpack(upper, len(patches)))
-
-
-def segment_pair(segments: Any) -> tuple[int, int]:
-    """(m_u, m_v) from one number or two. Raises InputError otherwise."""
-    pair = tuple(segments) if isinstance(segments, (tuple, list)) else (segments, segments)
-    if len(pair) != 2:
-        raise InputError(f"segments must be one number or a pair (along u, along v), not {segments!r}")
-    for m in pair:
-        check_segments(m)
-    return int(pair[0]), int(pair[1])
-
-
-def check_patches(patches: Any, dims: tuple[int, ...] | None = (3, 4)) -> Any:
-    """Patches as an array ``(patches, du+1, dv+1, dim)`` of floats; InputError says what is wrong with its shape."""
-    try:
-        patches = _inexact(patches)
-    except (ValueError, TypeError) as error:
-        raise InputError("patches must be one array of numbers: are its rows of different lengths?") from error
-    if patches.ndim != 4:
-        raise InputError(f"patches must have shape (patches, du+1, dv+1, 3), not {tuple(patches.shape)}")
-    if patches.shape[0] == 0:
-        raise InputError("there are no patches: at least one is needed")
-    if min(patches.shape[1:3]) < 2:
-        raise InputError(f"patches need a degree of at least 1 in u and v, not shape {tuple(patches.shape)}")
-    if dims is not None and patches.shape[3] not in dims:
-        raise InputError(f"control points must have {' or '.join(map(str, dims))} coordinates, not {patches.shape[3]}")
-    return patches
-
-
-def _inexact(values: Any) -> Any:
-    """Numbers as a floating-point array, in the dtype that they have (integers: the default)."""
-    array = values if isinstance(values, (jax.Array, np.ndarray)) else np.asarray(values)
-    if array.dtype == object or not np.issubdtype(array.dtype, np.number):
-        raise InputError(f"numbers are needed, not an array of {array.dtype}: are its rows of different lengths?")
-    return array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(np.float64)
 
 
 def enclose(coefficients: Float[Array, "n *rest"], segments: int) -> tuple[Any, Any]:

@@ -30,7 +30,7 @@ from jaxtyping import Array, Float
 
 from slefejax.errors import InputError
 
-Matrix = Float[Array | np.ndarray, "4 4"]
+Matrix = Any  # (4, 4), NumPy or JAX
 Vector = Any  # three numbers: a tuple, a list or an array
 
 
@@ -39,7 +39,7 @@ def _namespace(*values: Any) -> ModuleType:
     return jnp if any(isinstance(leaf, Tracer) for leaf in leaves) else np
 
 
-def _vector(values: Vector) -> Float[Array | np.ndarray, "3"]:
+def _vector(values: Vector) -> Any:
     xp = _namespace(values)
     return xp.asarray(values) * 1.0 if xp is jnp else np.asarray(values, np.float64)
 
@@ -206,7 +206,7 @@ def frame(points: Float[np.ndarray, "n 3"], view_direction: Vector = (-0.5, 0.75
     return Camera.look_at(eye, centre, fov_y=fov_y, near=(distance - radius) / 4.0, far=4.0 * (distance + radius))
 
 
-def homogeneous(points: Float[Array | np.ndarray, "*rest dim"]) -> Float[Array | np.ndarray, "*rest 4"]:
+def homogeneous(points: Float[Array | np.ndarray, "*rest dim"]) -> Any:
     """Points (x, y, z) become (x, y, z, 1); rational ones (w x, w y, w z, w) stay as they are."""
     if points.shape[-1] == 4:
         return points

@@ -1,0 +1,80 @@
+"""What the public functions take, and the checks that turn a wrong argument into one clear sentence.
+
+Entry points take anything that NumPy or JAX can make an array of, so their parameters have the wide types below; what
+they need is said in their docstrings and checked here. A traced argument is only checked for its shape.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+
+from slefejax.errors import InputError
+
+Patches = Any  # control points (patches, du+1, dv+1, 3), u before v; 4 at the end if rational
+Numbers = Any  # an array of numbers, of the shape that the docstring gives
+Number = Any  # one number
+Segments = Any  # a whole number m >= 1, or a pair (m_u, m_v)
+
+
+def is_whole(value: Any, lowest: int) -> bool:
+    """Whether ``value`` is an integer (no bool, no float) of at least ``lowest``."""
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool) and int(value) >= lowest
+
+
+def check_segments(segments: Any) -> int:
+    """The number of segments, or InputError unless it is a whole number of at least 1."""
+    if not is_whole(segments, 1):
+        raise InputError(f"the number of segments must be a whole number of at least 1, not {segments!r}")
+    return int(segments)
+
+
+def segment_pair(segments: Segments) -> tuple[int, int]:
+    """(m_u, m_v) from one number or two, or InputError."""
+    pair = tuple(segments) if isinstance(segments, (tuple, list)) else (segments, segments)
+    if len(pair) != 2:
+        raise InputError(f"segments must be one number or a pair (along u, along v), not {segments!r}")
+    return check_segments(pair[0]), check_segments(pair[1])
+
+
+def check_positive(name: str, value: Number) -> None:
+    """InputError unless the number is positive and finite."""
+    if isinstance(value, Tracer):
+        return
+    try:
+        fine = np.ndim(value) == 0 and bool(np.isfinite(value)) and value > 0
+    except TypeError:
+        fine = False
+    if not fine:
+        raise InputError(f"{name} must be a positive number, not {value!r}")
+
+
+def floating(values: Numbers) -> Any:
+    """Numbers as a floating-point array in the dtype that they have (whole numbers: float64), or InputError."""
+    try:
+        array = values if isinstance(values, (jax.Array, np.ndarray)) else np.asarray(values)
+    except ValueError as error:
+        raise InputError("an array of numbers is needed: these rows are of different lengths") from error
+    if array.dtype == object or not jnp.issubdtype(array.dtype, jnp.number):
+        raise InputError(f"an array of numbers is needed, not of {array.dtype}")
+    if jnp.issubdtype(array.dtype, jnp.complexfloating):
+        raise InputError("an array of real numbers is needed, not of complex ones")
+    return array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(np.float64)
+
+
+def check_patches(patches: Patches, dims: tuple[int, ...] | None = (3, 4)) -> Any:
+    """Patches as a floating-point array of rank 4, or InputError that says what is wrong with its shape."""
+    patches = floating(patches)
+    if patches.ndim != 4:
+        raise InputError(f"patches must have shape (patches, du+1, dv+1, 3), not {tuple(patches.shape)}")
+    if patches.shape[0] == 0:
+        raise InputError("there are no patches: at least one is needed")
+    if min(patches.shape[1:3]) < 2:
+        raise InputError(f"patches need a degree of at least 1 in u and v, not shape {tuple(patches.shape)}")
+    if dims is not None and patches.shape[3] not in dims:
+        raise InputError(f"control points must have {' or '.join(map(str, dims))} coordinates, not {patches.shape[3]}")
+    return patches

@@ -1,0 +1,70 @@
+"""Strict settings for the whole suite: float64, annotations checked at run time, warnings are errors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, settings
+from jaxtyping import install_import_hook
+
+jax.config.update("jax_enable_x64", True)
+
+install_import_hook(
+    [
+        f"slefejax.{name}"
+        for name in ("arguments", "bezier", "edges", "error", "factors", "layout", "slefe", "tessellator", "view")
+    ]
+    + ["slefejax.estimate", "slefejax.scene", "slefejax.slefe_tables", "slefejax.gpu.renderer"],
+    "beartype.beartype",
+)
+
+# derandomize: the same cases every time; deadline: the first call compiles
+settings.register_profile(
+    "seeded", derandomize=True, deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("seeded")
+
+MODELS = Path(__file__).resolve().parents[2] / "shared" / "models"
+
+
+@pytest.fixture(scope="session")
+def models() -> Path:
+    """Real models beside the checkout; tests that need them skip without."""
+    if not MODELS.is_dir():
+        pytest.skip("the folder of models is not beside the checkout")
+    return MODELS
+
+
+@pytest.fixture(scope="session")
+def device():
+    """The OpenGL device; tests that need it skip without, and say why."""
+    from slefejax.errors import NoOpenGLError
+    from slefejax.gpu import open_device
+
+    try:
+        return open_device()
+    except NoOpenGLError as error:
+        pytest.skip(f"no OpenGL: {error}")
+
+
+@pytest.fixture(scope="session")
+def teapot():
+    from slefejax import load
+
+    return load("teapot")
+
+
+@pytest.fixture(scope="session")
+def main_view(teapot):
+    """The view of the main job."""
+    from slefejax import View
+
+    return View(teapot.default_camera(), 1440, 900)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(20261122)

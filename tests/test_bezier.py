@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+from fractions import Fraction
+from math import comb
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slefejax import bezier
+
+dyadic = st.integers(-64, 64).map(lambda n: n / 8.0)
+
+
+def exact(coefficients, t):
+    """p(t) in exact fractions."""
+    d, t = len(coefficients) - 1, Fraction(t)
+    return sum(comb(d, j) * (1 - t) ** (d - j) * t**j * Fraction(c) for j, c in enumerate(coefficients))
+
+
+@given(st.lists(dyadic, min_size=1, max_size=7), st.integers(0, 8))
+def test_curve_at_dyadic_parameters_is_exact(coefficients, eighth):
+    t = eighth / 8.0
+    assert float(bezier.evaluate_curve(np.array(coefficients), np.array(t))) == float(exact(coefficients, t))
+
+
+def test_patch_is_the_tensor_product(rng):
+    control = rng.integers(-8, 8, (4, 3, 2)).astype(float)
+    u, v = 0.25, 0.75
+    rows = [[float(exact(control[i, :, c], v)) for c in range(2)] for i in range(4)]
+    wanted = [float(exact([row[c] for row in rows], u)) for c in range(2)]
+    assert bezier.evaluate_patch(control, np.array(u), np.array(v)).tolist() == wanted
+
+
+def test_evaluation_carries_batches_along(rng):
+    control = rng.normal(size=(4, 4, 3, 1))
+    u, v = rng.random(7), rng.random(7)
+    together = bezier.evaluate_patch(control, u, v)
+    one = [bezier.evaluate_patch(control[..., 0], u[k], v[k]) for k in range(7)]
+    np.testing.assert_allclose(together.T, one, rtol=0, atol=1e-15 * 30)
+
+
+@given(st.lists(dyadic, min_size=2, max_size=6), st.integers(0, 3), st.integers(0, 8))
+def test_elevation_keeps_the_polynomial(coefficients, by, eighth):
+    raised = bezier.elevate(np.array(coefficients), len(coefficients) - 1 + by)
+    assert len(raised) == len(coefficients) + by
+    assert raised[0] == coefficients[0]
+    assert raised[-1] == coefficients[-1]
+    # a handful of roundings of numbers up to 8
+    assert float(exact(raised, eighth / 8)) == pytest.approx(float(exact(coefficients, eighth / 8)), abs=1e-13)
+
+
+@given(st.lists(st.floats(-9, 9), min_size=2, max_size=6), st.integers(0, 3))
+def test_elevation_of_the_reversed_curve_is_reversed_bitwise(coefficients, by):
+    c, degree = np.array(coefficients), len(coefficients) - 1 + by
+    assert np.array_equal(bezier.elevate(c[::-1], degree), bezier.elevate(c, degree)[::-1])
+
+
+@given(st.lists(dyadic, min_size=2, max_size=5), st.integers(0, 3), st.integers(4, 8), st.integers(0, 4))
+def test_restriction_is_reparametrisation(coefficients, start, end, quarter):
+    part = bezier.restrict(np.array(coefficients), start / 8, end / 8)
+    t = Fraction(quarter, 4)
+    whole = Fraction(start, 8) + t * Fraction(end - start, 8)
+    assert exact(part, t) == exact(coefficients, whole)
+
+
+def test_second_differences_and_derivative():
+    c = np.array([1.0, 4.0, 2.0, 8.0])
+    assert bezier.second_differences(c).tolist() == [-5.0, 8.0]
+    assert bezier.derivative(c).tolist() == [9.0, -6.0, 18.0]

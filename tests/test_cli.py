@@ -1,0 +1,223 @@
+from __future__ import annotations
+
+import csv
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from slefejax.experiments import minimality
+from slefejax.experiments.cli import main
+from slefejax.figures.error_image import error_colours
+
+SMALL = ["--size", "180x120"]
+COLUMNS = {
+    *("scale", "method", "segments", "patches", "triangles", "covered_pixels", "share_above_0.1", "share_above_0.5"),
+    *("share_above_1", "max_error_px", "predict_ms", "render_ms"),
+}
+
+
+@pytest.fixture(autouse=True)
+def in_an_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def run_json(capsys, *arguments):
+    assert main([*arguments, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.gl
+def test_minimality_reaches_the_published_numbers(device, capsys, tmp_path):
+    """Uniform edges, as the numbers of the main job were measured (MATH.md, section 5)."""
+    result = run_json(capsys, "minimality", "teapot", "--edges", "own", "--out", str(tmp_path / "there"))
+    rows = result["rows"]
+    assert [row["scale"] for row in rows] == [1.0, 0.9, 0.8, 0.75, 0.7, 0.5]
+    assert set(rows[0]) == COLUMNS
+    shares = [100 * row["share_above_0.5"] for row in rows]
+    # drivers differ in which pixels of an edge they draw, hence a tenth
+    np.testing.assert_allclose(shares[1:], [1.0, 4.1, 7.0, 11.2, 48.0], rtol=0.1)
+    assert shares[0] == pytest.approx(0.02, abs=0.01)
+    assert rows[0]["max_error_px"] == pytest.approx(0.53, abs=0.02)
+    assert rows[0]["triangles"] == 19_874
+    record = json.loads((tmp_path / "there" / "run.json").read_text())
+    assert record["sum_of_factors"] == pytest.approx(537.849, abs=1e-3)
+    assert record["opengl"]["renderer"] == device.renderer
+    assert any("depth" in line for line in record["left_out"])
+
+
+@pytest.mark.gl
+def test_folder_of_a_run(device, capsys):
+    result = run_json(capsys, "minimality", "teapot", *SMALL, "--scales", "1", "0.5")
+    out = result["out"]
+    assert out.startswith("runs/minimality/")
+    assert result["scene"] == "teapot"
+    names = {"table.csv", "run.json", "minimality.png", "factors.png", "error_scale_1.png", "error_scale_0.5.png"}
+    assert set(os.listdir(out)) == names
+    assert os.listdir("runs/minimality") == [os.path.basename(out)]
+    with open(f"{out}/table.csv") as file:
+        table = list(csv.DictReader(file))
+    assert [float(row["triangles"]) for row in table] == [row["triangles"] for row in result["rows"]]
+    picture = imread(f"{out}/error_scale_1.png")
+    assert picture.shape[:2] == (120, 180)
+    covered = np.any(picture[..., :3] != 1.0, axis=-1)
+    assert covered.sum() == result["rows"][0]["covered_pixels"]
+
+
+@pytest.mark.gl
+def test_terminal_shows_the_table(device, capsys):
+    assert main(["minimality", "teapot", *SMALL, "--scales", "1"]) == 0
+    shown = capsys.readouterr()
+    assert "> 0.5 px" in shown.out
+    assert "Results are in runs/minimality/" in shown.out
+
+
+@pytest.mark.gl
+def test_stopped_sweep_continues_where_it_was(device, capsys, monkeypatch):
+    arguments = ["minimality", "teapot", *SMALL, "--scales", "1", "0.8", "0.6"]
+    row, seen = minimality._Sweep.row, []
+
+    def stop_at_the_third(self, scale):
+        if len(seen) == 2:
+            raise KeyboardInterrupt
+        seen.append(scale)
+        return row(self, scale)
+
+    monkeypatch.setattr(minimality._Sweep, "row", stop_at_the_third)
+    assert main(arguments) == 130
+    assert "goes on where it was" in capsys.readouterr().err
+    assert all(name.startswith(".") for name in os.listdir("runs/minimality"))
+    monkeypatch.setattr(minimality._Sweep, "row", lambda self, scale: seen.append(scale) or row(self, scale))
+    result = run_json(capsys, *arguments)
+    assert seen == [1.0, 0.8, 0.6], "each scale once"
+    assert [r["scale"] for r in result["rows"]] == [1.0, 0.8, 0.6]
+    assert "error_scale_0.8.png" in os.listdir(result["out"])
+
+
+def test_factors_lists_every_patch(capsys):
+    result = run_json(capsys, "factors", "teapot")
+    assert len(result["rows"]) == 32
+    assert result["sum_of_factors"] == pytest.approx(537.849, abs=1e-3)
+    assert sum(row["triangles"] for row in result["rows"]) == result["triangles"]
+    assert result["rows"][5]["inner_u"] == np.ceil(result["rows"][5]["factor"])
+
+
+def test_camera_options_are_heard(capsys):
+    near = run_json(capsys, "factors", "teapot", "--eye", "3", "-4", "3", "--fov", "60", "--size", "800x600")
+    far = run_json(capsys, "factors", "teapot", "--eye", "30", "-40", "30", "--target", "0", "0", "1")
+    assert near["sum_of_factors"] > far["sum_of_factors"] > 0
+    assert near["out"] != far["out"]
+
+
+@pytest.mark.gl
+def test_doctor(device, capsys):
+    assert main(["doctor", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    found = {row["item"]: row["found"] for row in report["rows"]}
+    assert found["OpenGL renderer"] == device.renderer
+    assert found["coverage self-test"] == "0 wrong pixels"
+    assert main(["doctor", "--quiet"]) == 0
+    assert capsys.readouterr().out == ""
+
+
+BAD_PATCH = "1\n1 1\n0 0 0\n0 nan 0\n1 0 0\n1 1 0\n"
+
+
+@pytest.mark.parametrize("command", ["minimality", "factors"])
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["no-such.bpt"], "there is no file no-such.bpt"),
+        (["cut.bpt"], "cut.bpt, line 3: the file ends where"),
+        (["nan.bpt"], "patch 0"),
+        (["none.bpt"], "no patches"),
+        (["teapot.obj"], "not read"),
+        (["teapot", "--segments", "0"], "segments must be a whole number of at least 1, not 0"),
+        (["teapot", "--tolerance", "-1"], "tolerance must be a positive number"),
+        (["teapot", "--k", "nan"], "k must be a positive number"),
+        (["teapot", "--size", "1440"], "--size must be WIDTHxHEIGHT"),
+        (["teapot", "--fov", "180"], "fov_y must lie between"),
+        (["teapot", "--eye", "0", "0", "1.2"], "coincide"),
+        (["teapot", "--method", "magic"], "no method 'magic'"),
+        (["teapot", "--out", "full"], "is not an empty folder"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_leaves_nothing(capsys, tmp_path, command, arguments, says):
+    (tmp_path / "cut.bpt").write_text("1\n1 1\n0 0 0 1")
+    (tmp_path / "nan.bpt").write_text(BAD_PATCH)
+    (tmp_path / "none.bpt").write_text("0\n")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "something").write_text("x")
+    assert main([command, *arguments]) == 2
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert says in shown.err
+    assert shown.err.count("\n") == 1
+    assert not (tmp_path / "runs").exists()
+    assert os.listdir("full") == ["something"]
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--scales", "1", "-0.5"], "--scales must be positive"),
+        (["--scales", "1", "1"], "twice"),
+        (["--eye", "1.6", "-1.6", "1.6", "--tolerance", "0.01"], "above the hardware's limit of 64"),
+        (["--eye", "4", "4", "4", "--target", "9", "9", "9"], "no patch is on the screen"),
+    ],
+)
+def test_sweeps_that_cannot_be_done(device, capsys, tmp_path, arguments, says):
+    assert main(["minimality", "teapot", *SMALL, *arguments]) == 2
+    shown = capsys.readouterr()
+    assert says in shown.err
+    assert shown.err.count("\n") == 1
+    assert not (tmp_path / "runs").exists()
+
+
+def test_no_opengl_device_is_one_sentence(tmp_path):
+    """With no driver to be found by the EGL loader, or no loader at all."""
+    code = "import sys; from slefejax.experiments.cli import main; sys.exit(main(sys.argv[1:]))"
+    environment = {**os.environ, "__EGL_VENDOR_LIBRARY_DIRS": "/nonexistent"}
+    found = subprocess.run(
+        [sys.executable, "-c", code, "minimality", "teapot", *SMALL],
+        env=environment,
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+    )
+    assert found.returncode == 2, found.stderr
+    assert "no OpenGL device" in found.stderr
+    assert "apt-get install libegl1" in found.stderr
+    assert found.stderr.count("\n") == 1
+    assert not (tmp_path / "runs").exists()
+
+
+def test_usage_errors_exit_with_2(capsys):
+    for arguments in (
+        [],
+        ["minimality"],
+        ["minimality", "teapot", "--bogus"],
+        ["factors", "teapot", "--segments", "x"],
+    ):
+        with pytest.raises(SystemExit) as raised:
+            main(arguments)
+        assert raised.value.code == 2
+        assert capsys.readouterr().out == ""
+
+
+def test_error_colours_are_those_of_the_papers():
+    error = np.array([[0.0, 0.1, 0.3, 0.5], [0.7, 1.0, 1.01, np.nan]])
+    colours = error_colours(error)
+    grey, blue, green, red, white = colours[1, 0], colours[1, 2], colours[0, 0], colours[0, 2], colours[0, 3]
+    assert np.array_equal(colours[1], [grey, grey, blue, blue]), "row 0 of the error is the last of the picture"
+    assert np.array_equal(colours[0], [green, green, red, white])
+    assert len({tuple(c) for c in (grey, blue, green, red, white)}) == 5
+    assert blue[2] > max(blue[:2])
+    assert green[1] > max(green[0], green[2])
+    assert red[0] > 2 * max(red[1:])
+    assert grey[0] == grey[1] == grey[2] < 255

@@ -1,0 +1,217 @@
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from slefejax import Camera, InputError, View, slefe, tessellation_factors
+from slefejax import factors as factors_module
+
+
+def factor_by_loops(patch, view, m, tolerance, k=1.0, depth_tolerance=None):
+    """One patch with everything in front of the camera, in plain loops: 2012, eq 6 to 10 and the Q-test."""
+    n = m + 1
+    lower, upper = np.zeros((n, n, 3)), np.zeros((n, n, 3))
+    for c in range(3):
+        across = [slefe(patch[i, :, c], m) for i in range(patch.shape[0])]
+        for j in range(n):
+            lower[:, j, c] = slefe(np.array([a.lower[j] for a in across]), m).lower
+            upper[:, j, c] = slefe(np.array([a.upper[j] for a in across]), m).upper
+    rectangles = np.zeros((n, n, 2, 3))
+    for i, j in product(range(n), range(n)):
+        corners = []
+        for picks in product((lower, upper), repeat=3):
+            x = view.world_to_screen @ [*(picks[c][i, j, c] for c in range(3)), 1.0]
+            corners.append(x[:3] / x[3])
+        rectangles[i, j] = np.min(corners, axis=0), np.max(corners, axis=0)
+    counted = set()
+    for i, j in product(range(m), range(m)):
+        tile = rectangles[i : i + 2, j : j + 2].reshape(4, 2, 3)
+        low, high = tile[:, 0].min(axis=0), tile[:, 1].max(axis=0)
+        if np.all(high >= 0) and np.all(low <= [view.width, view.height, 1.0]):
+            counted |= {(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)}
+    if not counted:
+        return 0.0
+    extent = np.array([rectangles[c][1] - rectangles[c][0] for c in counted])
+    demand = extent[:, :2].max() / tolerance
+    if depth_tolerance is not None:
+        demand = max(demand, extent[:, 2].max() / depth_tolerance)
+    return max(1.0, k * m * np.sqrt(demand))
+
+
+@pytest.mark.parametrize("m", [1, 2, 3, 5])
+def test_against_plain_loops_on_the_teapot(teapot, main_view, m):
+    factor = tessellation_factors(teapot.patches(), main_view, segments=m, tolerance=0.7, k=1.2).factor
+    wanted = [factor_by_loops(patch, main_view, m, 0.7, 1.2) for patch in teapot.patches()]
+    np.testing.assert_allclose(factor, wanted, rtol=1e-9)
+
+
+@pytest.mark.parametrize("degrees", [(1, 2), (2, 3), (5, 4)])
+def test_against_plain_loops_at_the_border_of_the_screen(degrees, rng):
+    view = View(Camera.look_at((0, -4, 0), (0, 0, 0)), 300, 200)
+    patches = rng.normal(size=(60, degrees[0] + 1, degrees[1] + 1, 3)) * 0.6 + rng.normal(size=(60, 1, 1, 3)) * [
+        3,
+        0.5,
+        2,
+    ]
+    patches[:10] += [40.0, 0, 0]
+    patches[..., 1] = np.maximum(patches[..., 1], -3.0)
+    factor = np.asarray(tessellation_factors(patches, view, depth_tolerance=1e-3).factor)
+    wanted = [factor_by_loops(patch, view, 3, 0.5, depth_tolerance=1e-3) for patch in patches]
+    np.testing.assert_allclose(factor, wanted, rtol=1e-9)
+    assert 0 < np.count_nonzero(factor) < 60
+
+
+def test_published_sums(teapot, main_view):
+    """MATH.md, section 5: m = 3, k = 1, at 1 and at 1/2 pixel."""
+    for tolerance, total in ((1.0, 380.316), (0.5, 537.849)):
+        factors = tessellation_factors(teapot.patches(), main_view, segments=3, tolerance=tolerance)
+        assert float(factors.factor.sum()) == pytest.approx(total, abs=1e-3)
+    assert 2 * (factors.levels**2).sum() == 19_874
+
+
+def test_levels_and_edges(teapot, main_view):
+    factors = tessellation_factors(teapot.patches(), main_view)
+    assert np.array_equal(factors.inner, np.ceil(factors.factor)[:, None].astype(int) * [1, 1])
+    assert np.all(factors.edges >= factors.levels[:, None])
+    assert factors.edge_numbers is not None
+    for numbers in np.unique(factors.edge_numbers):
+        at = factors.edge_numbers == numbers
+        assert len(set(factors.edges[at])) == 1, "both sides of an edge agree"
+        assert factors.edges[at][0] == factors.levels[np.nonzero(at)[0]].max()
+    assert np.array_equal(factors.scaled(0.5).levels, np.ceil(0.5 * np.asarray(factors.factor)))
+
+
+def test_linear_patches_need_one_piece_and_invisible_ones_none():
+    square = np.array([[[0, 0, 0], [0, 0, 1]], [[1, 0, 0], [1, 0, 1]]], float)
+    view = View(Camera.look_at((0, -5, 0), (0, 0, 0)), 100, 100)
+    patches = np.stack([square, square + [0, -20, 0], square + [200, 0, 0], square + [0, 500, 0]])
+    factors = tessellation_factors(patches, view)
+    assert factors.factor.tolist() == [1.0, 0.0, 0.0, 0.0], "in front, behind, beside, beyond far"
+    assert factors.edges.tolist() == [[1, 1, 1, 1], [0] * 4, [0] * 4, [0] * 4]
+
+
+def test_neighbour_off_screen_leaves_the_edge_to_the_visible_one(rng):
+    view = View(Camera.look_at((0, -5, 0), (0, 0, 0)), 100, 100)
+    seen = rng.normal(size=(4, 4, 3)) * 0.3
+    hidden = rng.normal(size=(4, 4, 3)) * 0.3 + [0, -60, 0]
+    hidden[0] = seen[-1]
+    hidden[1:, :, 1] -= 400  # behind the camera but for the shared edge
+    factors = tessellation_factors(np.stack([seen, hidden - [0, 0, 0]]), view)
+    both = tessellation_factors(np.stack([seen, seen + [0, -60, 0]]), view)
+    assert both.edges[0].tolist() == [both.levels[0]] * 4
+    assert both.edges[1].tolist() == [0] * 4
+    assert factors.edges[0, 2] == max(factors.levels)
+
+
+@pytest.mark.parametrize("distance", [0.0, 1e-12, 0.05, 0.1, 0.3, 1.0])
+def test_patches_through_the_camera_plane_stay_finite(distance, rng):
+    """The eye lies in, or near, the patch; no division by zero, and nearer than the near plane counts as in it."""
+    view = View(Camera.look_at((0, -distance, 0), (0, 1, 0)), 640, 480)
+    patches = rng.normal(size=(50, 4, 4, 3)) * [2.0, 2.0, 2.0]
+    factor = np.asarray(tessellation_factors(patches, view).factor)
+    assert np.all(np.isfinite(factor))
+    assert np.all(factor >= 0)
+    assert np.any(factor > 1)
+
+
+def test_two_numbers_of_segments(teapot, main_view):
+    patches = teapot.patches()
+    same = tessellation_factors(patches, main_view, segments=(3, 3)).factor
+    assert np.array_equal(same, tessellation_factors(patches, main_view, segments=3).factor)
+    turned = tessellation_factors(np.swapaxes(patches, 1, 2), main_view, segments=(5, 2)).factor
+    straight = tessellation_factors(patches, main_view, segments=(2, 5)).factor
+    # not equal: bounds in v then u are not those in u then v
+    np.testing.assert_allclose(turned, straight, rtol=0.1)
+
+
+def test_float32_in_float32_out(teapot, main_view):
+    single = tessellation_factors(teapot.patches().astype(np.float32), main_view).factor
+    double = tessellation_factors(teapot.patches(), main_view).factor
+    assert single.dtype == np.float32
+    np.testing.assert_allclose(single, double, rtol=1e-3)  # SPEED.md: cancellation costs up to 6e-4
+
+
+def test_gradient_by_points_camera_tolerance_and_k(teapot, main_view, rng):
+    # the teapot's symmetries are ties of second differences with 0: shake them off
+    patches = teapot.patches()[4:8] + 0.01 * rng.normal(size=(4, 4, 4, 3))
+
+    def total(points, eye, tolerance, k):
+        view = View(Camera.look_at(eye, (0.0, 0.0, 1.2)), 1440, 900)
+        return tessellation_factors(points, view, tolerance=tolerance, k=k).factor.sum()
+
+    at: tuple[Any, ...] = (jnp.asarray(patches), jnp.array([4.5, -6.0, 4.0]), jnp.asarray(0.5), jnp.asarray(1.1))
+    gradients = jax.grad(total, argnums=(0, 1, 2, 3))(*at)
+    for n, gradient in enumerate(gradients):
+        direction = rng.normal(size=np.shape(at[n]))
+        h = 1e-6
+        moved = [total(*at[:n], at[n] + s * h * direction, *at[n + 1 :]) for s in (1, -1)]
+        numeric = float(moved[0] - moved[1]) / (2 * h)
+        # off ties; the second-order term of the difference and its rounding stay below this
+        assert float(jnp.vdot(gradient, direction)) == pytest.approx(numeric, rel=1e-5, abs=1e-6)
+
+
+def test_gradients_of_flat_and_hidden_patches_are_zero_not_nan():
+    flat = np.zeros((1, 4, 4, 3))
+    flat[0, :, :, 0], flat[0, :, :, 2] = np.meshgrid(np.arange(4.0), np.arange(4.0), indexing="ij")
+    view = View(Camera.look_at((1, -9, 1), (1, 0, 1)), 100, 100)
+    for patches in (flat, flat + [0, -50, 0], np.zeros((1, 4, 4, 3))):
+        gradient = jax.grad(lambda p: tessellation_factors(p, view).factor.sum())(jnp.asarray(patches))
+        assert not np.any(gradient)
+
+
+def test_one_compilation_a_configuration(teapot, main_view):
+    compiled: Any = factors_module._factors_jit
+    compiled.clear_cache()
+    for angle in np.linspace(0, 1, 5):
+        view = View(Camera.look_at((6 * np.cos(angle), 6 * np.sin(angle), 3), (0, 0, 1)), 800, 600)
+        for count in (20, 25, 32):
+            tessellation_factors(teapot.patches()[:count], view, tolerance=0.3 + angle)
+    assert compiled._cache_size() == 1
+    tessellation_factors(teapot.patches(), main_view, segments=2)
+    assert compiled._cache_size() == 2
+
+
+def test_tracing_gives_factors_but_no_edges(teapot, main_view):
+    factors = jax.jit(lambda p: tessellation_factors(p, main_view))(teapot.patches())
+    np.testing.assert_allclose(factors.factor, tessellation_factors(teapot.patches(), main_view).factor, rtol=1e-12)
+    with pytest.raises(InputError, match="outside of jit"):
+        _ = factors.edges
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"segments": 0}, "segments"),
+        ({"tolerance": -0.5}, "tolerance must be a positive number"),
+        ({"tolerance": float("nan")}, "tolerance"),
+        ({"depth_tolerance": 0.0}, "depth_tolerance"),
+        ({"k": "1"}, "k must be"),
+        ({"method": "magic"}, "no method 'magic'"),
+    ],
+)
+def test_bad_options(teapot, main_view, options, says):
+    with pytest.raises(InputError, match=says):
+        tessellation_factors(teapot.patches(), main_view, **options)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_bad_control_points_are_named(teapot, main_view, value):
+    patches = teapot.patches().copy()
+    patches[[7, 9], 1, 2, 0] = value
+    with pytest.raises(InputError, match=r"patch 7 and 1 more .* not finite"):
+        tessellation_factors(patches, main_view)
+
+
+def test_overflow_is_named(main_view, rng):
+    with pytest.raises(InputError, match="overflows float32"):
+        tessellation_factors(rng.normal(size=(2, 4, 4, 3)).astype(np.float32) * np.float32(1e38), main_view)
+
+
+def test_rational_patches_are_refused_clearly(main_view):
+    with pytest.raises(InputError, match="rational"):
+        tessellation_factors(np.ones((1, 4, 4, 4)), main_view)

@@ -1,0 +1,206 @@
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+
+from slefejax import Camera, InputError, View
+from slefejax.bezier import evaluate_patch
+from slefejax.edges import edge_maxima, shared_edges
+from slefejax.tessellator import triangle_counts, vertex_counts
+from slefejax.view import homogeneous
+from tests.test_edges import SYMMETRIES
+
+pytestmark = pytest.mark.gl
+
+
+@pytest.fixture(scope="module")
+def gpu(device):
+    """The renderer's module, once a device is there; OpenGL's error state is clean before and after."""
+    from slefejax.gpu import renderer
+
+    assert device.context.error == "GL_NO_ERROR"
+    yield renderer
+    assert device.context.error == "GL_NO_ERROR"
+
+
+def lattice(rng, side, degree, relief=0.6):
+    """side x side patches over a rectangle, joined along their edges, each laid some other way; and their places."""
+    n = side * degree + 1
+    x, y = np.meshgrid(np.linspace(-1, 1, n), np.linspace(-1, 1, n), indexing="ij")
+    net = np.stack([x, y, np.zeros_like(x)], axis=-1) + rng.normal(size=(n, n, 3)) * [0.3 / n, 0.3 / n, relief / n]
+    ways = list(SYMMETRIES.values())
+    patches = []
+    for i in range(side):
+        for j in range(side):
+            block = net[i * degree : (i + 1) * degree + 1, j * degree : (j + 1) * degree + 1]
+            patches.append(ways[rng.integers(len(ways))](block))
+    return np.array(patches)
+
+
+def above(height=1.2, size=256):
+    camera = Camera.orthographic((0, 0, 3), (0, 0, 0), up=(0, 1, 0), height=height, near=0.5, far=6.0)
+    return View(camera, size, size)
+
+
+def random_levels(rng, patches, lowest=1, highest=20):
+    inner = rng.integers(lowest, highest + 1, len(patches))
+    return np.repeat(inner[:, None], 2, axis=1), edge_maxima(inner, shared_edges(patches))
+
+
+def test_self_test_passes_and_can_fail(device, gpu, monkeypatch):
+    from slefejax.gpu import selftest
+
+    assert selftest.wrong_pixels(device) == 0
+    if "llvmpipe" in device.renderer:
+        monkeypatch.setattr(selftest, "VERTICES_A_DRAW", 64 * 50**2)
+        monkeypatch.setattr(gpu, "VERTICES_A_DRAW", 10**9)
+        assert selftest.wrong_pixels(device) > 0, "software OpenGL loses triangles in a draw as full as this"
+
+
+@pytest.mark.parametrize("shape", [(2, 2, 3), (3, 4, 3), (4, 4, 3), (7, 7, 3), (4, 4, 4), (3, 6, 4)])
+def test_vertices_are_the_surface(device, gpu, rng, shape):
+    """GLSL against the JAX side's evaluator, at the coordinates that came out; 7 x 7 is more than 32 vertices."""
+    patches = rng.normal(size=(5, *shape))
+    if shape[2] == 4:
+        patches[..., 3] = rng.uniform(0.5, 2.0, patches.shape[:3])
+    view = View(Camera.look_at((0, -9, 2), (0, 0, 0)), 320, 200)
+    levels = np.full((5, 6), 6)
+    found = gpu.Renderer(patches, device).capture(view, levels[:, :2], levels[:, 2:])
+    assert len(found.patch) == triangle_counts(levels[:, :2], levels[:, 2:]).sum()
+    control = np.moveaxis(homogeneous(patches.astype(np.float32).astype(float)), 0, -1)
+    uv = found.parameters.astype(float)
+    points = evaluate_patch(control[..., found.patch][..., None], uv[..., 0], uv[..., 1])
+    wanted = np.moveaxis(points, 0, -1) @ view.world_to_clip.T
+    # a few dozen float32 operations on numbers up to about ten
+    np.testing.assert_allclose(found.clip, wanted, rtol=0, atol=3e-5)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("rational", [False, True])
+def test_shared_boundaries_are_bitwise_equal(device, gpu, rng, degree, rational):
+    """Whichever way each neighbour runs along the edge: every boundary vertex of one is one of the other's."""
+    patches = lattice(rng, 4, degree)
+    if rational:
+        # a weight for every place: equal points get equal weights
+        _, place = np.unique(patches.reshape(-1, 3), axis=0, return_inverse=True)
+        weight = rng.uniform(0.5, 2.0, place.max() + 1)[place.ravel()].reshape(*patches.shape[:3], 1)
+        patches = np.concatenate([patches * weight, weight], axis=-1)
+    patches = patches.astype(np.float32)
+    numbers = shared_edges(patches)
+    inner, outer = random_levels(rng, patches, 2, 23)
+    camera = Camera.look_at((0.3, -2.0, 1.5), (0, 0, 0))
+    found = gpu.Renderer(patches, device).capture(View(camera, 320, 200), inner, outer)
+    sides = [np.isin(found.parameters[..., axis], end) for end, axis in ((0.0, 0), (0.0, 1), (1.0, 0), (1.0, 1))]
+    positions = {}
+    for side, on_side in enumerate(sides):
+        for patch in range(len(patches)):
+            points = found.clip[on_side & (found.patch == patch)[:, None]]
+            assert len(points)
+            unique = np.unique(points, axis=0)
+            assert len(unique) == outer[patch, side] + 1
+            positions.setdefault(numbers[patch, side], []).append(unique)
+    pairs = [pair for pair in positions.values() if len(pair) == 2]
+    assert len(pairs) == 24
+    for one, other in pairs:
+        assert np.array_equal(one, other)
+
+
+def test_triangle_counts_and_areas_for_all_kinds_of_levels(device, gpu, rng):
+    patches = lattice(rng, 6, 1)
+    inner = rng.integers(1, 15, (36, 2))
+    outer = rng.integers(1, 15, (36, 4))
+    inner[:6] = 1
+    outer[:3] = 1
+    outer[6, 2] = 0
+    found = gpu.Renderer(patches, device).capture(above(), inner, outer)
+    counts = triangle_counts(inner, outer)
+    assert np.array_equal(np.bincount(found.patch, minlength=36), counts)
+    assert counts[6] == 0
+    assert counts[0] == 2
+    a, b, c = np.moveaxis(found.parameters.astype(float), 1, 0)
+    first, second = b - a, c - a
+    area = 0.5 * (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+    assert np.all(area > 0), "counter-clockwise in the domain"
+    total = np.bincount(found.patch, area, minlength=36)
+    np.testing.assert_allclose(total, np.where(counts > 0, 1.0, 0.0), atol=1e-4)  # coordinates are 1/65536 apart
+    for patch in range(36):
+        vertices = np.unique(found.parameters[found.patch == patch].reshape(-1, 2), axis=0)
+        assert len(vertices) == vertex_counts(inner, outer)[patch]
+
+
+@pytest.mark.parametrize("degree", [1, 3])
+def test_no_pixel_drops_out(device, gpu, rng, degree):
+    """A surface that fills the picture, its patches laid in all ways and cut differently, covers every pixel."""
+    patches = lattice(rng, 12, degree, relief=3.0)
+    inner, outer = random_levels(rng, patches)
+    renderer = gpu.Renderer(patches, device)
+    seen = renderer.draw(above(), inner, outer)
+    assert np.all(seen.patch >= 0)
+    assert np.all((seen.depth > 0) & (seen.depth < 1))
+    own = np.repeat(inner[:, :1], 4, axis=1)
+    assert degree == 1 or np.any(renderer.draw(above(), inner, own).patch < 0), "without shared levels there are cracks"
+
+
+def test_background_and_left_out_patches(device, gpu):
+    square = np.array([[[0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0]]], float)
+    levels = np.array([[1] * 6, [0] * 6])
+    view = above(height=4.0, size=64)
+    seen = gpu.Renderer(np.stack([square, square - 1]), device).draw(view, levels[:, :2], levels[:, 2:])
+    assert np.count_nonzero(seen.patch == 0) == 16 * 16
+    assert np.all(seen.patch[32:48, 32:48] == 0)
+    assert np.count_nonzero(seen.patch == -1) == 64 * 64 - 16 * 16
+    assert np.all(seen.depth[seen.patch == -1] == 1.0)
+
+
+def test_draws_are_split_below_the_limit(gpu):
+    inner = np.full((1000, 2), 11)
+    outer = np.full((1000, 4), 11)
+    outer[500] = 64
+    ranges = gpu.draw_ranges(inner, outer)
+    assert [first for first, _ in ranges] == np.cumsum([0, *(n for _, n in ranges)])[:-1].tolist()
+    assert sum(n for _, n in ranges) == 1000
+    for first, count in ranges:
+        longest = np.maximum(inner, outer[:, :2]).max(axis=1)[first : first + count]
+        assert ((longest + 1) ** 2).sum() <= gpu.VERTICES_A_DRAW
+
+
+def test_full_draws_lose_nothing(device, gpu, rng):
+    """3,600 patches at factor 12: a single draw of them would wrap the numbers of software OpenGL's vertices."""
+    patches = lattice(rng, 60, 1, relief=0.0)
+    levels = np.full((3600, 6), 12)
+    seen = gpu.Renderer(patches, device).draw(above(size=512), levels[:, :2], levels[:, 2:])
+    assert np.all(seen.patch >= 0)
+
+
+def test_levels_that_cannot_be_drawn(device, gpu, rng):
+    patches = lattice(rng, 2, 1)
+    renderer = gpu.Renderer(patches, device)
+    levels = np.full((4, 6), 3)
+    levels[2, 4] = device.highest_level + 1
+    with pytest.raises(InputError, match=r"1 of 4 patches need .* limit of \d+ \(patch 2, counted from 0: 65\)"):
+        renderer.draw(above(), levels[:, :2], levels[:, 2:])
+    with pytest.raises(InputError, match="shapes"):
+        renderer.draw(above(), levels[:3, :2], levels[:3, 2:])
+    levels[2, 4] = 1
+    with pytest.raises(InputError, match="too large"):
+        renderer.draw(above(size=90_000), levels[:, :2], levels[:, 2:])
+    with pytest.raises(InputError, match=r"patch 1 .* not finite float32"):
+        gpu.Renderer(np.where(np.arange(4)[:, None, None, None] == 1, 1e300, patches), device)
+
+
+def test_another_thread_is_refused(device, gpu, rng):
+    caught = []
+
+    def draw():
+        try:
+            gpu.Renderer(lattice(rng, 2, 1), device)
+        except RuntimeError as error:
+            caught.append(str(error))
+
+    thread = threading.Thread(target=draw)
+    thread.start()
+    thread.join()
+    assert caught
+    assert "another thread" in caught[0]

@@ -1,0 +1,88 @@
+"""Imports run one way, and the package is light to import."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+# Each layer may import itself and those before it.
+LAYERS = [
+    {"errors"},
+    {"bezier", "view", "layout", "edges", "tessellator", "slefe_tables", "arguments"},
+    {"slefe", "estimate", "error", "io", "data"},
+    {"factors"},
+    {"scene"},
+]
+ANALYSIS = set().union(*LAYERS)
+GROUND = LAYERS[0] | LAYERS[1]
+
+
+def modules() -> dict[str, Path]:
+    own = {p.relative_to(ROOT).with_suffix(""): p for p in (ROOT / "slefejax").rglob("*.py")}
+    return {".".join(name.parts): path for name, path in own.items()}
+
+
+def imported_parts(path: Path) -> set[str]:
+    """First parts below slefejax of everything that a file imports ('' for the package itself)."""
+    parts = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        names = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            names = [node.module or ""]
+            if node.module == "slefejax":
+                names = [f"slefejax.{a.name}" if files_of(a.name)[0].exists() else "slefejax" for a in node.names]
+        for name in names:
+            if name.split(".")[0] == "slefejax":
+                parts.add([*name.split("."), ""][1])
+    return parts
+
+
+def files_of(part: str) -> list[Path]:
+    folder = ROOT / "slefejax" / part
+    return sorted(folder.glob("*.py")) if folder.is_dir() else [folder.with_suffix(".py")]
+
+
+@pytest.mark.parametrize("level", range(len(LAYERS)))
+def test_analysis_modules_import_their_own_layer_and_below(level):
+    allowed = set().union(*LAYERS[: level + 1])
+    for part in LAYERS[level]:
+        for path in files_of(part):
+            assert imported_parts(path) <= allowed, path
+
+
+def test_every_module_has_its_place():
+    parts = {name.split(".")[1] for name in modules() if "." in name} - {"__init__"}
+    parts |= {"gpu", "experiments", "figures"}  # links, which a search by name does not enter
+    assert parts == ANALYSIS | {"gpu", "experiments", "figures"}
+
+
+@pytest.mark.parametrize(
+    ("part", "allowed"),
+    [
+        ("gpu", GROUND | {"gpu"}),
+        ("figures", {"figures"}),
+        ("experiments", ANALYSIS | {"", "gpu", "figures", "experiments"}),
+    ],
+)
+def test_upper_floors(part, allowed):
+    for path in files_of(part):
+        assert imported_parts(path) <= allowed, path
+
+
+def test_import_loads_no_graphics_and_starts_no_backend():
+    code = (
+        "import sys, slefejax; import jax._src.xla_bridge as bridge;"
+        "bad = [m for m in ('moderngl', 'matplotlib', 'tyro', 'rich') if m in sys.modules];"
+        "assert not bad, bad; assert not bridge._backends, bridge._backends;"
+        "import jax; assert not jax.config.jax_enable_x64"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT.parent)
