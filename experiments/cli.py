@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from typing import Annotated
 
@@ -39,8 +40,14 @@ def main(arguments: list[str] | None = None) -> int:
             return command.examine()
         command.run().print(command.output.json)
         return 0
+    except BrokenPipeError:  # whoever reads the table has read enough; the results are in place
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except (InputError, NoOpenGLError) as error:
         print(f"slefejax: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except OSError as error:
+        print(f"slefejax: the results could not be written: {error}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         print("slefejax: stopped; the same command goes on where it was", file=sys.stderr)

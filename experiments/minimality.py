@@ -43,7 +43,10 @@ class Minimality:
         check_scales(self.scales)
         scene = load(self.scene)
         view = self.camera.view(scene)
-        run = Run("minimality", _plain(self), self.output.out)
+        with Run("minimality", _plain(self), self.output.out) as run:
+            return self._run(scene, view, run)
+
+    def _run(self, scene: Scene, view: View, run: Run) -> Report:
         factors, times = _predict(scene, view, self.prediction)
         device = open_device()
         check_levels(factors.scaled(max(self.scales)).levels, device.highest_level)

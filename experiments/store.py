@@ -104,9 +104,13 @@ class Run:
         except OSError as error:
             raise InputError(f"the results cannot be written to {self.parent}: {error.strerror or error}") from None
 
-    def discard(self) -> None:
-        """Remove what was written: for a run that turned out to be impossible."""
-        shutil.rmtree(self.work, ignore_errors=True)
+    def __enter__(self) -> Run:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """A run that turned out to be impossible before its first row leaves nothing behind."""
+        if kind is not None and issubclass(kind, InputError) and not self.rows():
+            shutil.rmtree(self.work, ignore_errors=True)
 
 
 def write_csv(path: Path, rows: list[Row]) -> None:

@@ -149,8 +149,8 @@ def test_gradient_by_points_camera_tolerance_and_k(teapot, main_view, rng):
     for n, gradient in enumerate(gradients):
         direction = rng.normal(size=np.shape(at[n]))
         h = 1e-6
-        moved = [total(*at[:n], at[n] + s * h * direction, *at[n + 1 :]) for s in (1, -1)]
-        numeric = float(moved[0] - moved[1]) / (2 * h)
+        ahead, behind = ([*at[:n], at[n] + s * h * direction, *at[n + 1 :]] for s in (1, -1))
+        numeric = float(jnp.subtract(total(*ahead), total(*behind))) / (2 * h)
         # off ties; the second-order term of the difference and its rounding stay below this
         assert float(jnp.vdot(gradient, direction)) == pytest.approx(numeric, rel=1e-5, abs=1e-6)
 
