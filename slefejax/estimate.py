@@ -71,26 +71,33 @@ def tiles_on_screen(lower: Any, upper: Any, frustum: Float[Array, "6 4"]) -> Boo
     needs no division, so it holds for boxes at and behind the camera too.
     """
     centre, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
-    outside = None
+    inside = None
     for plane in frustum:
-        reach = plane[3]
-        for axis in range(3):
-            reach = reach + (plane[axis] * centre[:, :, axis] + jnp.abs(plane[axis]) * half[:, :, axis])
-        beyond = reach < 0
-        whole = beyond[:-1, :-1] & beyond[1:, :-1] & beyond[:-1, 1:] & beyond[1:, 1:]
-        outside = whole if outside is None else outside | whole
-    assert outside is not None
-    return ~outside
+        reach = plane[3] + sum(
+            plane[axis] * centre[:, :, axis] + jnp.abs(plane[axis]) * half[:, :, axis] for axis in range(3)
+        )
+        furthest = _tile_maxima(reach)
+        inside = furthest if inside is None else _smaller(inside, furthest)
+    assert inside is not None
+    return inside >= 0
 
 
 def visible_maximum(width: Grid, visible: Bool[Array, "mu mv lanes"]) -> Float[Array, "lanes"]:
-    """The largest width (2012, eq 8) over the boxes of at least one tile that is on the screen; 0 if there is none."""
-    inside = jnp.pad(visible, ((1, 1), (1, 1), (0, 0)))
-    counts = inside[:-1, :-1] | inside[1:, :-1] | inside[:-1, 1:] | inside[1:, 1:]
-    shown = jnp.where(counts, width, 0.0)
-    largest = shown[0, 0]
-    for i, j in product(range(shown.shape[0]), range(shown.shape[1])):
-        largest = _larger(largest, shown[i, j])
+    """The largest width (2012, eq 8) over the boxes of the tiles that are on the screen; 0 if there is none."""
+    tiles = _tile_maxima(width)
+    return _maximum(select(visible, tiles, jnp.zeros_like(tiles)))
+
+
+def _tile_maxima(values: Grid) -> Float[Array, "mu mv lanes"]:
+    """The largest of the values at the four corners of every tile."""
+    along = _larger(values[:-1], values[1:])
+    return _larger(along[:, :-1], along[:, 1:])
+
+
+def _maximum(values: Grid) -> Float[Array, "lanes"]:
+    largest = values[0, 0]
+    for i, j in product(range(values.shape[0]), range(values.shape[1])):
+        largest = _larger(largest, values[i, j])
     return largest
 
 
