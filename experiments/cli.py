@@ -14,10 +14,12 @@ from slefejax.errors import InputError, NoOpenGLError
 from slefejax.experiments.doctor import Doctor
 from slefejax.experiments.factors import FactorsOfScene
 from slefejax.experiments.minimality import Minimality
+from slefejax.experiments.tightness import Tightness
 
 Command = (
     Annotated[Minimality, subcommand("minimality")]
     | Annotated[FactorsOfScene, subcommand("factors")]
+    | Annotated[Tightness, subcommand("tightness")]
     | Annotated[Doctor, subcommand("doctor")]
 )
 BAD_INPUT = 2

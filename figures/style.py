@@ -18,6 +18,17 @@ ERROR_CLASSES = (
 BACKGROUND = "#ffffff"
 FACTOR_MAP = "viridis"
 
+# One colour (Okabe and Ito's, for the colour-blind) and one mark a method, the same in every figure
+METHOD_STYLES: dict[str, dict[str, Any]] = {
+    "slefe": {"color": "#d55e00", "marker": "o"},
+    "filip": {"color": "#0072b2", "marker": "s"},
+    "convex-hull": {"color": "#009e73", "marker": "^"},
+    "oriented-box": {"color": "#56b4e9", "marker": "D"},
+    "min-max": {"color": "#cc79a7", "marker": "v"},
+    "control-polygon": {"color": "#000000", "marker": "P"},
+    "disc": {"color": "#e69f00", "marker": "X"},
+}
+
 SETTINGS: dict[Any, Any] = {
     "font.size": 12,
     "axes.titlesize": 12,

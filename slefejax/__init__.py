@@ -6,10 +6,12 @@
 >>> factors = sj.tessellation_factors(scene.patches(), view, segments=3, tolerance=0.5)
 """
 
+from slefejax.bspline import bspline_slefe, bspline_slefe_boxes
 from slefejax.errors import InputError, NoOpenGLError
 from slefejax.factors import Factors, tessellation_factors
 from slefejax.scene import Scene, load
 from slefejax.slefe import Slefe, SlefeTable, slefe, slefe_boxes, slefe_table
+from slefejax.tiles import slefe_tiles
 from slefejax.view import Camera, View
 
 __all__ = [
@@ -21,9 +23,12 @@ __all__ = [
     "Slefe",
     "SlefeTable",
     "View",
+    "bspline_slefe",
+    "bspline_slefe_boxes",
     "load",
     "slefe",
     "slefe_boxes",
     "slefe_table",
+    "slefe_tiles",
     "tessellation_factors",
 ]

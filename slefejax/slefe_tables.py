@@ -52,7 +52,9 @@ def build_table(
 def _row(degree: int, j: int, segments: int) -> tuple[np.ndarray, np.ndarray]:
     upper = np.array([_value_rounded_up(degree, j, i, segments) for i in range(segments + 1)])
     margin = OUTWARD * float(max(-c for c in basis_coefficients(degree, j)))
-    return upper - _lexicographic_gaps(_sags(degree, j, segments)) - margin, upper
+    bend = [0.0] * (degree - 1)
+    bend[j - 1] = float(degree * (degree - 1))
+    return upper - bend_gaps(degree, [bend], segments) - margin, upper
 
 
 def _value_rounded_up(degree: int, j: int, i: int, segments: int) -> float:
@@ -65,17 +67,17 @@ def _value_rounded_up(degree: int, j: int, i: int, segments: int) -> float:
     return value if Fraction(value) >= exact else float(np.nextafter(value, np.inf))
 
 
-def _sags(degree: int, j: int, segments: int) -> list[np.ndarray]:
-    """Bézier coefficients of a_j minus its chord on every segment, accurate relative to their own size.
+def bend_gaps(degree: int, bends: list[list[float]], segments: int) -> Float[np.ndarray, "breakpoints"]:
+    """Gaps of a convex function made of polynomials of that degree on intervals of length 1, cut into segments each.
 
-    They are built from the second differences, which are non-negative: those of a_j on [t, t+h] are h^2 times the
-    coefficients of b_(j-1)^(d-2) restricted to it.
+    bends : for every interval the Bézier coefficients, all >= 0, of its second derivative (degree - 2)
     """
     basis = np.array([[float(c) for c in basis_coefficients(degree, k)] for k in range(1, degree)])
-    unit = np.zeros(degree - 1)
-    unit[j - 1] = 1.0
+    scale = segments**2 * degree * (degree - 1)
     ends = [(i / segments, (i + 1) / segments) for i in range(segments)]
-    return [restrict(unit, *end) @ basis / segments**2 for end in ends]
+    # second differences on a segment: non-negative, so the sags are accurate relative to their own size
+    sags = [restrict(np.array(bend), *end) @ basis / scale for bend in bends for end in ends]
+    return _lexicographic_gaps(sags)
 
 
 def _lexicographic_gaps(sags: list[np.ndarray]) -> Float[np.ndarray, "breakpoints"]:
@@ -103,8 +105,13 @@ def _shared_gap(sag: np.ndarray) -> float:
 
 
 def _forced_gap(sag: np.ndarray, gap: float) -> float:
-    """phi(gap): the least gap at the right end when the left end has ``gap``, by the line that touches the sag."""
+    """phi(gap): the least gap at the right end when the left end has ``gap``, by the line that touches the sag.
+
+    It is 0 where the line to the right end itself stays below: where its slope, ``gap``, is at least the sag's there.
+    """
     slope = derivative(sag)
+    if _at(slope, 1.0) <= gap:
+        return 0.0
     touch = _root(lambda s: s * _at(slope, s) - _at(sag, s) - gap)
     return max(0.0, gap - _at(slope, touch))
 

@@ -15,9 +15,9 @@ ROOT = Path(__file__).resolve().parents[1]
 LAYERS = [
     {"errors"},
     {"bezier", "view", "layout", "edges", "tessellator", "slefe_tables", "arguments"},
-    {"slefe", "estimate", "error", "io", "data"},
+    {"slefe", "bspline", "tiles", "optimum", "rivals", "estimate", "error", "io", "data"},
     {"factors"},
-    {"scene"},
+    {"scene", "testing"},
 ]
 ANALYSIS = set().union(*LAYERS)
 GROUND = LAYERS[0] | LAYERS[1]

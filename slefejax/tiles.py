@@ -1,0 +1,108 @@
+"""Boxes around the tiles of patches, polynomial and rational, sound between the breakpoints too.
+
+A rational patch is x = X/W with polynomial X and W > 0 (homogeneous control points w x, w y, w z, w). Quotients of the
+slefes of X and of W at the breakpoints do not enclose x between them: for 1/(1+u) with one segment both slefes are
+exact lines, the quotients are the end values, and their interpolant is off by .083. What holds on a tile:
+
+- the hull of the tile's own control points, projected, holds it;
+- for any number s, x - s = g/W with the polynomial g = X - s W (MATH.md, section 6), whose slefe is narrow where s is
+  near x; s is the value at the tile's middle. There g <= G and L <= W <= U, with bilinear interpolants G, L, U of slefe
+  values at its corners, L > 0, so g/W is at most the larger of G/L and G/U; a quotient of bilinear functions with a
+  positive denominator is monotone along every parameter line, so largest at a corner. Likewise from below.
+
+Both are computed from the tile's own control points; on each side the tighter one counts.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+
+from slefejax import layout
+from slefejax.arguments import Patches, Segments, check_patches, segment_pair
+from slefejax.bezier import evaluate_patch, restrict
+from slefejax.errors import InputError
+from slefejax.slefe import Slefe, enclose_patch
+
+
+def slefe_tiles(patches: Patches, segments: Segments) -> Slefe:
+    """A box around every tile of polynomial or rational patches: all of the patch on that tile lies in it.
+
+    patches  : ``(patches, du+1, dv+1, 3)``, or rational with homogeneous points (w x, w y, w z, w), w > 0, 4 at the end
+    segments : m, or (m_u, m_v)
+    returns  : ``.lower`` and ``.upper``, ``(patches, m_u, m_v, 3)``: box [i, j] holds the patch where
+               i <= m_u u <= i+1 and j <= m_v v <= j+1
+
+    Raises InputError for a wrong shape, segments < 1, or a weight that is not positive (with the patch's number).
+
+    >>> arc = np.array([[1, 0, 0, 1], [1, 1, 0, 1], [0, 2, 0, 2]], float)      # a quarter circle
+    >>> tiles = slefe_tiles(np.stack([arc, arc], axis=1)[None], (4, 1))
+    >>> bool((tiles.lower[..., :2] ** 2).sum(-1).max() <= 1.0 <= (tiles.upper[..., :2] ** 2).sum(-1).min())
+    True
+    """
+    patches = check_patches(patches)
+    check_weights(patches)
+    lower, upper = _tiles_jit(jnp.asarray(layout.pack(patches)), segment_pair(segments))
+    return Slefe(layout.unpack(lower, len(patches)), layout.unpack(upper, len(patches)))
+
+
+def check_weights(patches: Any) -> None:
+    """InputError unless all weights of rational patches are positive and finite; the others pass."""
+    if patches.shape[3] != 4 or isinstance(patches, Tracer):
+        return
+    weights = np.asarray(patches)[..., 3]
+    bad = np.flatnonzero(~np.all((weights > 0) & np.isfinite(weights), axis=(1, 2)))
+    if bad.size:
+        worst = weights[bad[0]].min()
+        raise InputError(
+            f"the weights of rational patches must be positive: patch {bad[0]} (counted from 0) has {worst:g}"
+            + (f", and {bad.size - 1} more patches have such weights" if bad.size > 1 else "")
+        )
+
+
+@jax.jit(static_argnums=1)
+def _tiles_jit(packed: Any, segments: tuple[int, int]) -> tuple[Any, Any]:
+    return layout.over_chunks(_tiles, packed, segments)
+
+
+def _tiles(control: Any, segments: tuple[int, int]) -> tuple[Any, Any]:
+    """Boxes ``(m_u, m_v, 3, lanes)`` of one chunk ``(du+1, dv+1, 3 or 4, lanes)``."""
+    own = restrict_to_tiles(control, segments)
+    position = own[:, :, :3]
+    weight = own[:, :, 3:] if control.shape[2] == 4 else jnp.ones_like(own[:, :, :1])
+    points = position / weight
+    hull_lower, hull_upper = jnp.min(points, axis=(0, 1)), jnp.max(points, axis=(0, 1))
+    s = evaluate_patch(position, 0.5, 0.5) / evaluate_patch(weight, 0.5, 0.5)
+    g_lower, g_upper = enclose_patch(position - s * weight, (1, 1))
+    ends = _weight_bounds(weight)
+    lower = jnp.min(jnp.stack([g_lower / end for end in ends]), axis=(0, 1, 2))
+    upper = jnp.max(jnp.stack([g_upper / end for end in ends]), axis=(0, 1, 2))
+    lower, upper = jnp.maximum(s + lower, hull_lower), jnp.minimum(s + upper, hull_upper)
+    return jnp.moveaxis(lower, 0, 2), jnp.moveaxis(upper, 0, 2)
+
+
+def restrict_to_tiles(control: Any, segments: tuple[int, int]) -> Any:
+    """Control points ``(du+1, dv+1, dim, m_u, m_v, lanes)`` of every tile, by blossoming in u and in v."""
+    own = control[:, :, :, None, None]
+    for axis, m in enumerate(segments):
+        start = (np.arange(m) / m).reshape((m, 1, 1) if axis == 0 else (1, m, 1))
+        end = ((np.arange(m) + 1) / m).reshape(start.shape)
+        ends = (jnp.asarray(t, control.dtype) for t in (start, end))
+        own = jnp.swapaxes(restrict(jnp.swapaxes(own, 0, axis), *ends), 0, axis)
+    return own
+
+
+def _weight_bounds(weight: Any) -> tuple[Any, Any]:
+    """Positive bounds of W at the four corners of every tile, their bilinear interpolants bounding W on it.
+
+    A slefe of positive weights may dip below 0; where it falls below the smallest weight on a tile, that weight is
+    the lower bound of the whole tile.
+    """
+    lower, upper = enclose_patch(weight, (1, 1))
+    smallest = jnp.min(weight, axis=(0, 1))
+    sunken = jnp.min(lower, axis=(0, 1)) < smallest
+    return jnp.where(sunken, smallest, lower), upper
