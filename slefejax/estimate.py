@@ -13,7 +13,7 @@ import numpy as np
 from jax.lax import select
 from jaxtyping import Array, Bool, Float
 
-from slefejax.slefe import enclose_patch
+from slefejax.slefe import enclose_at, enclose_patch
 from slefejax.view import View
 
 Grid = Float[Array, "bu bv lanes"]
@@ -37,7 +37,7 @@ class Projection(NamedTuple):
 
 
 def slefe_factor(
-    control: Float[Array, "nu nv 3 lanes"],
+    control: Float[Array, "nu nv dim lanes"],
     projection: Projection,
     tolerance: Any,
     depth_tolerance: Any,
@@ -47,7 +47,10 @@ def slefe_factor(
     """max(tau_xy, tau_z) (2012, eq 10), at least 1 where a tile is on the screen, 0 elsewhere."""
     lower, upper = enclose_patch(control, segments)
     visible = tiles_on_screen(lower, upper, projection.frustum)
-    width, depth = projected_widths(lower, upper, projection, with_depth=depth_tolerance is not None)
+    if control.shape[2] == 4:
+        width, depth = rational_widths(control, projection, segments, with_depth=depth_tolerance is not None)
+    else:
+        width, depth = projected_widths(lower, upper, projection, with_depth=depth_tolerance is not None)
     demand = visible_maximum(width, visible) / tolerance
     if depth is not None:
         demand = _larger(demand, visible_maximum(depth, visible) / depth_tolerance)
@@ -73,9 +76,10 @@ def tiles_on_screen(lower: Any, upper: Any, frustum: Float[Array, "6 4"]) -> Boo
     centre, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
     inside = None
     for plane in frustum:
-        reach = plane[3] + sum(
-            plane[axis] * centre[:, :, axis] + jnp.abs(plane[axis]) * half[:, :, axis] for axis in range(3)
-        )
+        parts = range(centre.shape[2])  # homogeneous points bring their own last coordinate
+        reach = 0.0 if len(parts) == 4 else plane[3]
+        for a in parts:
+            reach = reach + (plane[a] * centre[:, :, a] + jnp.abs(plane[a]) * half[:, :, a])
         furthest = _tile_maxima(reach)
         inside = furthest if inside is None else _smaller(inside, furthest)
     assert inside is not None
@@ -119,6 +123,27 @@ def projected_widths(lower: Any, upper: Any, projection: Projection, with_depth:
             high[r] = s if high[r] is None else _larger(high[r], s)
     extent = [high[r] - low[r] for r in rows]  # type: ignore[operator]
     return _larger(extent[0], extent[1]), extent[2] if with_depth else None
+
+
+def rational_widths(
+    control: Float[Array, "nu nv 4 lanes"], projection: Projection, segments: tuple[int, int], with_depth: bool
+) -> tuple[Grid, Grid | None]:
+    """The widths of rational patches: at each breakpoint that of the slefe of X - s W, over W (MATH.md, section 6).
+
+    The papers have none. X, Y and W are the polynomials of the undivided screen position, s is X/W at the breakpoint,
+    so x - s = (X - s W)/W, and numerator and denominator do not vary apart. Near and behind the camera W counts as at
+    the near plane.
+    """
+    screen = jnp.stack([sum(row[a] * control[:, :, a] for a in range(4)) for row in projection.to_screen], axis=2)
+    lower, upper = enclose_patch(screen, segments)
+    middle = 0.5 * (lower + upper)
+    w = _larger(middle[:, :, 3], jnp.full_like(middle[:, :, 3], projection.near_w))[:, :, None]
+    rows = 3 if with_depth else 2
+    g = screen[:, :, None, None, :rows] - (middle[:, :, :rows] / w) * screen[:, :, None, None, 3:]
+    across = enclose_at(jnp.transpose(g, (1, 3, 0, 2, 4, 5)), segments[1])
+    low, high = (enclose_at(jnp.transpose(bound, (1, 2, 0, 3, 4)), segments[0]) for bound in across)
+    extent = (high[1] - low[0]) / w
+    return _larger(extent[:, :, 0], extent[:, :, 1]), extent[:, :, 2] if with_depth else None
 
 
 def _larger(a: Any, b: Any) -> Any:

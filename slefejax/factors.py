@@ -18,6 +18,7 @@ from slefejax.arguments import Number, Patches, Segments, check_patches, check_p
 from slefejax.edges import edge_maxima, shared_edges
 from slefejax.errors import InputError
 from slefejax.estimate import Projection, slefe_factor
+from slefejax.tiles import check_weights
 from slefejax.view import View
 
 METHODS = ("slefe",)
@@ -83,10 +84,12 @@ def tessellation_factors(
 ) -> Factors:
     """How finely each patch must be cut so that pixels are right to within ``tolerance``.
 
-    patches         : control points ``(patches, du+1, dv+1, 3)``, u before v, any bi-degree
+    patches         : control points ``(patches, du+1, dv+1, 3)``, u before v, any bi-degree; 4 at the end if rational,
+                      (w x, w y, w z, w) with positive weights
     view            : camera and picture size
     method          : ``"slefe"``, the estimate of the papers: k m sqrt(w / tolerance), with w the width in pixels of
                       the slefe boxes on the screen (2012, eq 7 to 10; animation paper, eq 7). It is not a bound.
+                      For rational patches w is the width of the slefe of X - s W over W (MATH.md, section 6).
     segments        : m, or (m_u, m_v); static
     tolerance       : pixels
     depth_tolerance : window depth (0 to 1), or None for no depth test
@@ -108,8 +111,7 @@ def tessellation_factors(
     (32,)
     """
     patches = check_patches(patches)
-    if patches.shape[3] == 4:
-        raise InputError("method 'slefe' takes polynomial patches, (patches, du+1, dv+1, 3): these are rational")
+    check_weights(patches)
     if method not in METHODS:
         raise InputError(f"there is no method {method!r}: choose one of {', '.join(METHODS)}")
     for name, value in (("tolerance", tolerance), ("depth_tolerance", depth_tolerance), ("k", k)):

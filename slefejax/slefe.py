@@ -120,18 +120,23 @@ def slefe_boxes(patches: Patches, segments: Segments) -> Slefe:
 
 
 def enclose(coefficients: Float[Array, "n *rest"], segments: int) -> tuple[Any, Any]:
-    """Lower and upper breakpoint values along the first axis, for use inside kernels (2012, eq 2).
+    """Lower and upper breakpoint values along the first axis, for use inside kernels."""
+    return enclose_at(coefficients[:, None], segments)
+
+
+def enclose_at(coefficients: Float[Array, "n b *rest"], segments: int) -> tuple[Any, Any]:
+    """Breakpoint values ``(m+1, *rest)``, breakpoint k from the coefficients ``[:, k]`` (2012, eq 2).
 
     upper = l + sum_j max(0, D_j) a_up_j + min(0, D_j) a_low_j; lower with max and min exchanged.
+    Every breakpoint has coefficients of its own, or, where b is 1, all have the same.
     """
-    steps = [b / segments for b in range(segments + 1)]
-    chord = jnp.stack([(1.0 - t) * coefficients[0] + t * coefficients[-1] for t in steps])
+    column = (slice(None),) + (None,) * (coefficients.ndim - 2)
+    t = (np.arange(segments + 1) / segments).astype(coefficients.dtype)[column]
+    lower = upper = (1 - t) * coefficients[0] + t * coefficients[-1]
     degree = coefficients.shape[0] - 1
     if degree == 1:
-        return chord, chord
+        return lower, upper
     tables = _as_dtype(slefe_table(degree, segments), coefficients.dtype)
-    lower = upper = chord
-    column = (slice(None),) + (None,) * (coefficients.ndim - 1)
     for difference, low, up in zip(second_differences(coefficients), tables.lower, tables.upper, strict=True):
         # select, not jnp.maximum: several times faster on the CPU (it does not propagate NaN: inputs are checked apart)
         positive = jax.lax.select(difference > 0, difference, jnp.zeros_like(difference))

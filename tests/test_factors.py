@@ -212,6 +212,60 @@ def test_overflow_is_named(main_view, rng):
         tessellation_factors(rng.normal(size=(2, 4, 4, 3)).astype(np.float32) * np.float32(1e38), main_view)
 
 
-def test_rational_patches_are_refused_clearly(main_view):
-    with pytest.raises(InputError, match="rational"):
-        tessellation_factors(np.ones((1, 4, 4, 4)), main_view)
+def rational(patches, weights):
+    return np.concatenate([patches * weights, weights], axis=-1)
+
+
+def test_weights_that_are_all_alike_change_nothing_much(teapot, main_view):
+    """Without perspective, X - s W is X but for a constant: widths are those of the projected patch's own slefe,
+
+    never more than those of the boxes around it, and equal where the screen's axes are the world's.
+    """
+    patches = teapot.patches()
+    alike = rational(patches, np.full((*patches.shape[:3], 1), 3.0))
+    slanted = View(Camera.orthographic((4, -6, 4), (0, 0, 1), height=6.0), 800, 600)
+    along = View(Camera.orthographic((0, -6, 1), (0, 0, 1), height=6.0), 800, 600)
+    weighted, plain = (np.asarray(tessellation_factors(p, slanted).factor) for p in (alike, patches))
+    assert np.all(weighted <= plain * (1 + 1e-12))
+    assert np.median(weighted / plain) > 0.7
+    weighted, plain = (np.asarray(tessellation_factors(p, along).factor) for p in (alike, patches))
+    np.testing.assert_allclose(weighted, plain, rtol=1e-9)
+    weighted, plain = (np.asarray(tessellation_factors(p, main_view).factor) for p in (alike, patches))
+    assert np.median(weighted / plain) == pytest.approx(0.85, abs=0.15)
+
+
+def test_rational_widths_by_loops(rng):
+    """One breakpoint after the other: the slefe of X - s W, in v and then in u."""
+    view = View(Camera.look_at((0, -6, 1), (0, 0, 0)), 320, 240)
+    patch = rational(rng.normal(size=(4, 3, 3)), rng.uniform(0.5, 2, (4, 3, 1)))
+    screen = patch @ view.world_to_screen.T
+    widths = []
+    for i, j in product(range(4), range(4)):
+        parts = []
+        for c in range(4):
+            across = slefe(screen[..., c], 3, axis=1)
+            parts.append([slefe(b[:, j], 3) for b in (np.asarray(across.lower), np.asarray(across.upper))])
+        middle = [0.5 * (float(low.lower[i]) + float(high.upper[i])) for low, high in parts]
+        for c in (0, 1):
+            across = slefe(screen[..., c] - middle[c] / middle[3] * screen[..., 3], 3, axis=1)
+            low = slefe(np.asarray(across.lower)[:, j], 3).lower[i]
+            high = slefe(np.asarray(across.upper)[:, j], 3).upper[i]
+            widths.append(float(high - low) / middle[3])
+    found = float(tessellation_factors(patch[None], view, tolerance=0.5).factor[0])
+    assert found == pytest.approx(3 * np.sqrt(max(widths) / 0.5), rel=1e-9)
+
+
+def test_rational_patches_behind_and_beside_are_not_drawn(rng):
+    view = View(Camera.look_at((0, -5, 0), (0, 0, 0)), 100, 100)
+    points = (
+        rng.normal(size=(4, 3, 3, 3)) * 0.3
+        + np.array([[0, 0, 0], [0, -20, 0], [300, 0, 0], [0, 900, 0]])[:, None, None]
+    )
+    factor = np.asarray(tessellation_factors(rational(points, rng.uniform(0.5, 2, (4, 3, 3, 1))), view).factor)
+    assert factor[0] > 1
+    assert factor[1:].tolist() == [0, 0, 0]
+
+
+def test_weights_must_be_positive(main_view):
+    with pytest.raises(InputError, match=r"weights .* patch 0"):
+        tessellation_factors(np.zeros((1, 4, 4, 4)), main_view)

@@ -133,16 +133,18 @@ def lexicographic_by_programs(degree, j, segments, samples=160):
     a = bernstein_values(degree, j, t)
     hat = np.maximum(0, 1 - np.abs(t[:, None] * segments - np.arange(segments + 1)))
     need = hat @ a[::samples] - a  # hat @ gaps >= need
+    scale = need.max()
+    need = need / scale  # the solver's tolerances, 1e-7, are absolute
     gaps, free = np.full(segments + 1, np.nan), np.ones(segments + 1, bool)
     while free.any():
         bounds = [(0, None) if f else (g, g) for f, g in zip(free, gaps, strict=True)]
         level = solve([*np.zeros(segments + 1), 1], hat, need, bounds, free)[-1]
-        below = [(0, level * (1 + 1e-9) + 1e-12) if f else (g, g) for f, g in zip(free, gaps, strict=True)]
+        below = [(0, level + 1e-6) if f else (g, g) for f, g in zip(free, gaps, strict=True)]
         least = {i: solve([*np.eye(segments + 1)[i], 0], hat, need, below, free)[i] for i in np.flatnonzero(free)}
-        forced = [i for i, g in least.items() if g >= level * (1 - 1e-3) - 1e-9] or [max(least, key=lambda i: least[i])]
+        forced = [i for i, g in least.items() if g >= level * (1 - 1e-3) - 1e-6] or [max(least, key=lambda i: least[i])]
         gaps[forced] = level
         free[forced] = False
-    return gaps
+    return scale * gaps
 
 
 def bernstein_values(degree, j, t):
