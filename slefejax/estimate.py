@@ -77,7 +77,7 @@ def tiles_on_screen(lower: Any, upper: Any, frustum: Float[Array, "6 4"]) -> Boo
     inside = None
     for plane in frustum:
         parts = range(centre.shape[2])  # homogeneous points bring their own last coordinate
-        reach = 0.0 if len(parts) == 4 else plane[3]
+        reach: Any = 0.0 if len(parts) == 4 else plane[3]
         for a in parts:
             reach = reach + (plane[a] * centre[:, :, a] + jnp.abs(plane[a]) * half[:, :, a])
         furthest = _tile_maxima(reach)

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from slefejax import InputError, slefe, slefe_boxes, slefe_table
-from slefejax.bezier import evaluate_curve, evaluate_patch, restrict
+from slefejax.bezier import elevate, evaluate_curve, evaluate_patch, restrict
+from slefejax.testing import assert_encloses
 
 # Rounding of an enclosure and of the evaluation that it is compared with: a few dozen operations on numbers of the
 # size of the coefficients.
@@ -144,3 +145,17 @@ def test_gradient_matches_finite_differences(rng):
 def test_bad_arguments(call, says):
     with pytest.raises(InputError, match=says):
         call()
+
+
+@pytest.mark.parametrize("degree", [2, 3, 5])
+def test_elevated_curves_are_enclosed_as_well(degree, rng):
+    """The same function in a higher degree has another slefe; both hold it, and neither is wider than twice the other."""
+    widths = []
+    for _ in range(30):
+        curve = rng.normal(size=degree + 1)
+        raised = elevate(curve, degree + 2)
+        lower, upper = slefe(raised, 3)
+        assert_encloses(lower, upper, lambda t, c=curve: evaluate_curve(c, t), slack=1e-13)
+        own = slefe(curve, 3)
+        widths.append(float(np.max(upper - lower) / np.max(own.upper - own.lower)))
+    assert 0.5 < np.median(widths) < 2.0
