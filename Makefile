@@ -12,7 +12,7 @@ demo: $(VENV)/opengl
 	$(BIN)/slefejax minimality teapot
 
 test: $(VENV)/opengl $(VENV)/test
-	$(BIN)/python -m pytest
+	SLEFEJAX_REQUIRE_OPENGL=1 $(BIN)/python -m pytest
 
 slow: $(VENV)/opengl $(VENV)/test
 	$(BIN)/python -m pytest -m slow
@@ -52,7 +52,8 @@ $(VENV)/opengl: $(VENV)/base
 	  else echo "No OpenGL device was found. As root: apt-get install $$packages" >&2; exit 2; fi; \
 	  echo "No OpenGL device was found: installing a software OpenGL ($$packages)" >&2; \
 	  $$as_root apt-get update --quiet=2 && \
-	  $$as_root env DEBIAN_FRONTEND=noninteractive apt-get install --quiet=2 --yes --no-install-recommends $$packages >/dev/null \
+	  $$as_root env DEBIAN_FRONTEND=noninteractive apt-get install --quiet=2 --yes --no-install-recommends --no-upgrade \
+	    $$packages >/dev/null \
 	    || { echo "The packages could not be installed. As root: apt-get install $$packages" >&2; exit 2; }; \
 	  $(BIN)/slefejax doctor --quiet; \
 	fi

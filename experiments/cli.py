@@ -4,57 +4,84 @@ from __future__ import annotations
 
 import os
 import sys
-from typing import Annotated
+from typing import Any
 
-import jax
-import tyro
-from tyro.conf import subcommand
-
-from slefejax.errors import InputError, NoOpenGLError
-from slefejax.experiments.doctor import Doctor
-from slefejax.experiments.factors import FactorsOfScene
-from slefejax.experiments.minimality import Minimality
-from slefejax.experiments.tightness import Tightness
-
-Command = (
-    Annotated[Minimality, subcommand("minimality")]
-    | Annotated[FactorsOfScene, subcommand("factors")]
-    | Annotated[Tightness, subcommand("tightness")]
-    | Annotated[Doctor, subcommand("doctor")]
-)
 BAD_INPUT = 2
 INTERRUPTED = 130
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command. Exit status 0 if it is whole, 2 for bad input or no OpenGL device, 130 if it was interrupted."""
-    jax.config.update("jax_enable_x64", True)
-    config = (tyro.conf.FlagCreatePairsOff, tyro.conf.OmitSubcommandPrefixes)
+    try:
+        return _run(arguments)
+    except KeyboardInterrupt:
+        return _fail("stopped; the same command goes on where it was", INTERRUPTED)
+    except ImportError as error:
+        return _fail(f"the package {error.name!r} is missing or broken ({error}): pip install {error.name}")
+
+
+def _run(arguments: list[str] | None) -> int:
+    # Imported here, so that a package that is missing is one sentence and Ctrl-C is heard from the beginning.
+    import tyro
+
+    from slefejax.errors import InputError, NoOpenGLError
+    from slefejax.experiments.commands import Command
+
     command = tyro.cli(
         Command,  # type: ignore[arg-type]
         prog="slefejax",
         description="How finely must a curved surface be tessellated? Predict it, render it, measure it.",
         args=arguments,
-        config=config,
+        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitSubcommandPrefixes),
     )
     try:
-        if isinstance(command, Doctor):
-            return command.examine()
-        command.run().print(command.output.json)
-        return 0
+        _start_jax()
+        report: Any = command.run()
+    except (InputError, NoOpenGLError) as error:
+        return _fail(str(error))
+    except OSError as error:
+        return _fail(f"the results could not be written: {error}")
+    return _show(report)
+
+
+def _start_jax() -> None:
+    """float64, and a device to compute on. Raises InputError if the one that was asked for is not there."""
+    import jax
+
+    from slefejax.errors import InputError
+
+    jax.config.update("jax_enable_x64", True)
+    try:
+        jax.devices()
+    except RuntimeError as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"JAX finds no device ({reason}): unset JAX_PLATFORMS, or set it to cpu") from None
+
+
+def _show(report: Any) -> int:
+    try:
+        report.print()
+        sys.stdout.flush()
     except BrokenPipeError:  # whoever reads the table has read enough; the results are in place
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except (InputError, NoOpenGLError) as error:
-        print(f"slefejax: {error}", file=sys.stderr)
-        return BAD_INPUT
     except OSError as error:
-        print(f"slefejax: the results could not be written: {error}", file=sys.stderr)
-        return BAD_INPUT
-    except KeyboardInterrupt:
-        print("slefejax: stopped; the same command goes on where it was", file=sys.stderr)
-        return INTERRUPTED
+        return _fail(f"the results are in {report.out}, but could not be shown: {error}")
+    return report.status
+
+
+def _fail(sentence: str, status: int = BAD_INPUT) -> int:
+    print(f"slefejax: {sentence}", file=sys.stderr)
+    return status
+
+
+def entry() -> None:
+    """What the console script calls. After an interruption compiler threads may still run: leave without waiting."""
+    status = main()
+    if status == INTERRUPTED:
+        sys.stderr.flush()
+        os._exit(status)
+    sys.exit(status)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    entry()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
@@ -9,10 +10,10 @@ import tyro
 
 from slefejax import load, tessellation_factors
 from slefejax.edges import EDGES
-from slefejax.experiments.options import OutputOptions, PredictionOptions, ViewOptions
+from slefejax.experiments.options import OutputOptions, PredictionOptions, ViewOptions, camera_record
 from slefejax.experiments.report import Report
 from slefejax.experiments.store import Run
-from slefejax.tessellator import triangle_counts
+from slefejax.tessellator import HIGHEST_LEVEL, triangle_counts
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,6 @@ class FactorsOfScene:
         """Predict and list."""
         scene = load(self.scene)
         view = self.camera.view(scene)
-        run = Run("factors", {**asdict(self), "output": None}, self.output.out)
         factors = tessellation_factors(
             scene.patches(), view, edge_numbers=scene.edge_numbers, **self.prediction.arguments()
         )
@@ -44,5 +44,18 @@ class FactorsOfScene:
             f"{scene.name}: {len(rows)} patches, sum of factors {total['sum_of_factors']:.3f},"
             f" {total['triangles']:,} triangles"
         )
-        out = run.finish(rows, {"scene": scene.name, "notes": scene.notes, **total})
-        return Report(scene.name, out, rows, title, scene.notes, extra=total)
+        notes = (*scene.notes, *_beyond(factors.levels))
+        arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
+        with Run("factors", arguments, self.output.out, {"process": os.getpid()}) as run:
+            out = run.finish(rows, {"scene": scene.name, "notes": notes, **total})
+        return Report(scene.name, out, rows, title, notes, total, self.output.json)
+
+
+def _beyond(levels: np.ndarray) -> tuple[str, ...]:
+    """What to say if some patches need more than OpenGL's limit."""
+    count = int(np.count_nonzero(levels > HIGHEST_LEVEL))
+    if not count:
+        return ()
+    return (
+        f"{count} of {len(levels)} patches need more than OpenGL's limit of {HIGHEST_LEVEL} and cannot be rendered",
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import tyro
@@ -12,9 +12,9 @@ import tyro
 from slefejax import Factors, Scene, View, load, tessellation_factors
 from slefejax.error import pixel_error
 from slefejax.errors import InputError
-from slefejax.experiments.options import OutputOptions, PredictionOptions, ViewOptions, check_scales
+from slefejax.experiments.options import OutputOptions, PredictionOptions, ViewOptions, camera_record, check_scales
 from slefejax.experiments.report import Report, progress
-from slefejax.experiments.store import Row, Run
+from slefejax.experiments.store import Row, Run, digest
 from slefejax.figures.error_image import write_error_image
 from slefejax.figures.minimality import write_factor_map, write_minimality_figure
 from slefejax.gpu import Renderer, open_device
@@ -43,57 +43,46 @@ class Minimality:
         check_scales(self.scales)
         scene = load(self.scene)
         view = self.camera.view(scene)
-        with Run("minimality", _plain(self), self.output.out) as run:
-            return self._run(scene, view, run)
-
-    def _run(self, scene: Scene, view: View, run: Run) -> Report:
         factors, times = _predict(scene, view, self.prediction)
+        largest = factors.scaled(max(self.scales)).levels
         device = open_device()
-        check_levels(factors.scaled(max(self.scales)).levels, device.highest_level)
-        sweep = _Sweep(scene, view, factors, self.edges, run, Renderer(scene.patches(), device))
-        fixed = {
-            "method": self.prediction.method,
-            "segments": self.prediction.segments,
-            "patches": len(scene.patches()),
-        }
-        with progress("rendering", len(self.scales)) as show:
-            rows = run.each(
-                "scale", list(self.scales), lambda s: {**fixed, **sweep.row(s), "predict_ms": times["predict_ms"]}, show
-            )
-        sweep.draw_pictures(rows)
-        record = {
-            "scene": scene.name,
-            "notes": scene.notes,
-            "opengl": {"renderer": device.renderer, "version": device.version},
-            "sum_of_factors": float(np.sum(factors.factor)),
-            "patches_off_screen": int(np.sum(np.asarray(factors.factor) == 0)),
-            "compile_ms": times["compile_ms"],
-            "left_out": _left_out(scene, self.prediction),
-        }
-        return Report(
-            scene.name, run.finish(rows, record), rows, _title(scene, view, factors, self.prediction), scene.notes
-        )
-
-
-def _plain(options: Any) -> dict[str, Any]:
-    arguments = asdict(options)
-    arguments["output"] = None  # where results go does not change them
-    return arguments
+        check_levels(largest, device.highest_level)
+        arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
+        inputs = {"scene": digest(scene.patches().tobytes()), "opengl": device.renderer}
+        with Run("minimality", arguments, self.output.out, inputs) as run:
+            sweep = _Sweep(scene, view, factors, self, run, Renderer(scene.patches(), device))
+            with progress("rendering", len(self.scales)) as show:
+                scales = list(self.scales)
+                rows = run.each("scale", scales, lambda s: {**sweep.row(s), **times}, show, error_name)
+            sweep.draw_pictures(rows)
+            record = {
+                "scene": scene.name,
+                "notes": scene.notes,
+                "opengl": {"renderer": device.renderer, "version": device.version},
+                "sum_of_factors": float(np.sum(factors.factor)),
+                "patches_off_screen": int(np.sum(np.asarray(factors.factor) == 0)),
+                "left_out": _left_out(scene, self.prediction),
+            }
+            out = run.finish(rows, record)
+        title = _title(scene, view, factors, self.prediction)
+        extra = {"sum_of_factors": record["sum_of_factors"]}
+        return Report(scene.name, out, rows, title, scene.notes, extra, self.output.json)
 
 
 def _predict(scene: Scene, view: View, options: PredictionOptions) -> tuple[Factors, dict[str, float]]:
-    """The factors, how long they take (median of 5, milliseconds), and how much longer the first time."""
+    """The factors, and how long they take once compiled (median of 5, milliseconds)."""
 
     def timed() -> tuple[Factors, float]:
         start = time.perf_counter()
         factors = tessellation_factors(scene.patches(), view, edge_numbers=scene.edge_numbers, **options.arguments())
         return factors, time.perf_counter() - start
 
-    (factors, first), *others = [timed() for _ in range(6)]
+    (factors, _), *others = [timed() for _ in range(6)]
     if not np.any(np.asarray(factors.factor) > 0):
-        raise InputError("no patch is on the screen: move the camera, or turn it towards the scene")
-    usual = float(np.median([seconds for _, seconds in others]))
-    return factors, {"predict_ms": 1e3 * usual, "compile_ms": 1e3 * (first - usual)}
+        raise InputError(
+            "no patch is on the screen: turn the camera to the scene, or move it or its near and far planes"
+        )
+    return factors, {"predict_ms": 1e3 * float(np.median([seconds for _, seconds in others]))}
 
 
 @dataclass
@@ -101,14 +90,15 @@ class _Sweep:
     scene: Scene
     view: View
     factors: Factors
-    edges: str
+    options: Minimality
     run: Run
     renderer: Renderer
 
     def levels(self, scale: float) -> tuple[np.ndarray, np.ndarray]:
         """Inner and outer levels at a scale."""
         scaled = self.factors.scaled(scale)
-        return scaled.inner, scaled.edges if self.edges == "shared" else np.repeat(scaled.levels[:, None], 4, axis=1)
+        own = np.repeat(scaled.levels[:, None], 4, axis=1)
+        return scaled.inner, scaled.edges if self.options.edges == "shared" else own
 
     def row(self, scale: float) -> Row:
         """Render at a scale, measure, keep the picture."""
@@ -120,26 +110,48 @@ class _Sweep:
         seen = self.renderer.read(self.view)
         error = pixel_error(self.scene.patches(), self.view, seen.u, seen.v, seen.patch)
         write_error_image(self.run.file(error_name(scale)), error)
-        return {"triangles": int(triangle_counts(inner, outer).sum()), **error_shares(error), "render_ms": render_ms}
+        return {
+            "method": self.options.prediction.method,
+            "segments": self.options.prediction.segments,
+            "patches": len(self.scene.patches()),
+            "triangles": int(triangle_counts(inner, outer).sum()),
+            **error_shares(error),
+            "render_ms": render_ms,
+        }
 
     def draw_pictures(self, rows: list[Row]) -> None:
         """The factors on the patches, and one figure with everything."""
-        inner, outer = self.levels(1.0)
+        inner, outer = self.levels(max(self.options.scales))
         patch = self.renderer.draw(self.view, inner, outer).patch
         painted = np.where(patch >= 0, np.append(np.asarray(self.factors.factor, float), 0.0)[patch], np.nan)
-        write_factor_map(self.run.file("factors.png"), painted)
+        labels = _labels(patch, np.asarray(self.factors.factor, float))
+        write_factor_map(self.run.file("factors.png"), painted, labels)
         images = [self.run.file(error_name(row["scale"])) for row in rows]
-        write_minimality_figure(self.run.file("minimality.png"), rows, images, painted, self.scene.name)
+        tolerance = self.options.prediction.tolerance
+        write_minimality_figure(
+            self.run.file("minimality.png"), rows, images, painted, labels, self.scene.name, tolerance
+        )
 
 
 def error_name(scale: float) -> str:
     """File name of the error image of a scale."""
-    return f"error_scale_{scale:g}.png"
+    return f"error_scale_{float(scale)!r}.png".replace(".0.png", ".png")
+
+
+def _labels(patch: np.ndarray, factor: np.ndarray, most: int = 80) -> list[tuple[float, float, str]]:
+    """(column, row, factor): where to write a patch's factor, in the middle of what is seen of it if that is enough."""
+    numbers, counts = np.unique(patch[patch >= 0], return_counts=True)
+    large = numbers[counts > patch.size / 1500]
+    if len(large) > most:
+        return []
+    places = [np.argwhere(patch == number) for number in large]
+    nearest = [place[np.argmin(np.sum((place - np.median(place, axis=0)) ** 2, axis=1))] for place in places]
+    return [(float(c), float(r), f"{factor[n]:.1f}") for (r, c), n in zip(nearest, large, strict=True)]
 
 
 def error_shares(error: np.ndarray) -> Row:
     """Covered pixels, the share of them above each threshold, and the largest error."""
-    covered = error[np.isfinite(error)]
+    covered = error[~np.isnan(error)]
     if covered.size == 0:
         raise InputError("the picture is empty: no pixel centre is covered by the scene")
     shares = {f"share_above_{limit:g}": float(np.mean(covered > limit)) for limit in THRESHOLDS}

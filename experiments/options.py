@@ -10,7 +10,7 @@ import numpy as np
 
 from slefejax.errors import InputError
 from slefejax.scene import Scene
-from slefejax.view import Camera, View
+from slefejax.view import Camera, View, bounding_sphere
 
 Three = tuple[float, float, float]
 
@@ -37,25 +37,34 @@ class ViewOptions:
     def view(self, scene: Scene) -> View:
         """The view that these options ask for. Raises InputError for numbers that make no camera."""
         width, height = parse_size(self.size)
-        own = scene.default_camera()
-        pick = {
-            "eye": own.eye,
-            "target": own.target,
-            "up": own.up,
-            "fov_y": own.extent,
-            "near": own.near,
-            "far": own.far,
-        }
-        given = {
-            "eye": self.eye,
-            "target": self.target,
-            "up": self.up,
-            "fov_y": self.fov,
-            "near": self.near,
-            "far": self.far,
-        }
-        pick.update({name: value for name, value in given.items() if value is not None})
-        return View(Camera.look_at(**pick), width, height)
+        own = scene.default_camera(aspect=width / height)
+        eye = own.eye if self.eye is None else np.asarray(self.eye)
+        near, far = self._planes(scene, own, eye)
+        camera = Camera.look_at(
+            eye,
+            own.target if self.target is None else self.target,
+            own.up if self.up is None else self.up,
+            own.extent if self.fov is None else self.fov,
+            near,
+            far,
+        )
+        return View(camera, width, height)
+
+    def _planes(self, scene: Scene, own: Camera, eye: np.ndarray) -> tuple[float, float]:
+        """Near and far: as given, else the camera's own, moved so that the whole scene lies between them."""
+        centre, radius = bounding_sphere(scene.points())
+        with np.errstate(over="ignore"):  # the camera says what is wrong with such an eye
+            distance = float(np.linalg.norm(eye - centre))
+        near = own.near if distance - radius > own.near else min(own.near, radius / 1000.0)
+        far = max(own.far, distance + 2.0 * radius)
+        return near if self.near is None else self.near, far if self.far is None else self.far
+
+
+def camera_record(view: View) -> dict:
+    """The camera that was used, for the record of a run."""
+    camera = view.camera
+    numbers = {name: np.asarray(getattr(camera, name)).tolist() for name in ("eye", "target", "up", "near", "far")}
+    return {**numbers, "fov_y": float(camera.extent), "width": view.width, "height": view.height}
 
 
 @dataclass(frozen=True)

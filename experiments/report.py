@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import sys
 from collections.abc import Callable, Iterator
@@ -12,10 +13,10 @@ from typing import Any
 
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-WIDTH = 110  # where standard output is not a terminal
 MOST_ROWS = 60
 HEADINGS = {
     "share_above_0.1": "> 0.1 px",
@@ -25,77 +26,96 @@ HEADINGS = {
     "max_error_px": "largest px",
     "predict_ms": "predict ms",
     "render_ms": "render ms",
+    "width_over_optimum_median": "width/optimum",
+    "width_over_optimum_p95": "95 %",
+    "width_over_optimum_max": "largest",
+    "us_per_curve": "µs a curve",
 }
+Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class Report:
-    """The outcome of a command: the scene's name, the run's folder, and the table."""
+    """The outcome of a command: the scene's name, the run's folder, and the table.
 
-    scene: str
-    out: Path
-    rows: list[dict[str, Any]]
+    status : the exit status;  extra : more entries of the JSON object
+    """
+
+    scene: str | None
+    out: Path | None
+    rows: list[Row]
     title: str
     notes: tuple[str, ...] = ()
-    extra: dict[str, Any] = field(default_factory=dict)
+    extra: Row = field(default_factory=dict)
+    as_json: bool = False
+    status: int = 0
 
-    def print(self, as_json: bool) -> None:
-        """To standard output."""
-        if as_json:
-            print(json.dumps({"scene": self.scene, "out": str(self.out), **self.extra, "rows": self.rows}))
-            return
-        console = Console(highlight=False, width=None if sys.stdout.isatty() else WIDTH)
-        for note in self.notes:
-            console.print(f"Note: {note}")
-        console.print(_table(self.title, self.rows))
+    def print(self) -> None:
+        """To standard output, at once."""
+        sys.stdout.write(self._json() if self.as_json else self._text())
+
+    def _json(self) -> str:
+        out = None if self.out is None else str(self.out)
+        content = {"scene": self.scene, "out": out, "notes": list(self.notes), **self.extra, "rows": self.rows}
+        return json.dumps(content) + "\n"
+
+    def _text(self) -> str:
+        lines = [*(f"Note: {note}" for note in self.notes), self.title, _table(self.rows)]
         if len(self.rows) > MOST_ROWS:
-            console.print(f"… and {len(self.rows) - MOST_ROWS:,} more rows in the table file")
-        print(f"Results are in {self.out}")
+            lines.append(f"… and {len(self.rows) - MOST_ROWS:,} more rows in the table file")
+        if self.out is not None:
+            lines.append(f"Results are in {self.out}")
+        return "".join(f"{line}\n" for line in lines if line)
 
 
-def _table(title: str, rows: list[dict[str, Any]]) -> Table:
+def _table(rows: list[Row]) -> str:
     """The first rows; what is the same in all of them stands once, below. A single row is shown as a column."""
-    if len(rows) == 1:
-        table = Table("", "", title=title, title_justify="left", box=box.SIMPLE_HEAD, show_header=False)
-        for name, value in rows[0].items():
-            table.add_row(_heading(name), _text(name, value))
-        return table
+    if not rows:
+        return ""
+    table = Table(box=box.SIMPLE_HEAD, show_header=len(rows) > 1)
     constant = {name: value for name, value in rows[0].items() if all(row[name] == value for row in rows)}
+    if len(rows) == 1:
+        table.add_column()
+        table.add_column()
+        for name, value in rows[0].items():
+            table.add_row(_heading(name), _shown(name, value))
+        return _rendered(table)
     columns = [name for name in rows[0] if name not in constant]
-    shared = ", ".join(f"{_heading(name)} {_text(name, value)}" for name, value in constant.items())
-    caption = f"in every row: {shared}" if shared else None
-    table = Table(title=title, caption=caption, title_justify="left", caption_justify="left", box=box.SIMPLE_HEAD)
     for name in columns:
-        table.add_column(_heading(name), justify="right", no_wrap=True)
+        words = isinstance(rows[0][name], str)
+        table.add_column(_heading(name), justify="left" if words else "right", no_wrap=not words)
     for row in rows[:MOST_ROWS]:
-        table.add_row(*[_text(name, row[name]) for name in columns])
-    return table
+        table.add_row(*[_shown(name, row[name]) for name in columns])
+    shared = ", ".join(f"{_heading(name)} {_shown(name, value)}" for name, value in constant.items())
+    return _rendered(table) + (f"\nin every row: {shared}" if shared else "")
+
+
+def _rendered(table: Table) -> str:
+    """As text; wide enough for numbers, never wider than a long line of words."""
+    page = io.StringIO()
+    Console(file=page, width=150, highlight=False).print(table)
+    return "\n".join(line.rstrip() for line in page.getvalue().strip("\n").splitlines())
 
 
 def _heading(name: str) -> str:
     return HEADINGS.get(name, name.replace("_", " "))
 
 
-def _text(name: str, value: Any) -> str:
+def _shown(name: str, value: Any) -> str:
     if name.startswith("share_"):
         return f"{100 * value:.2f} %"
     if isinstance(value, float):
-        return (
-            f"{value:.3g}"
-            if name == "scale"
-            else f"{value:.3f}"
-            if name.endswith(("_px", "factor"))
-            else f"{value:.2f}"
-        )
+        return f"{value:.9g}" if name == "scale" else f"{value:.3f}"
     if isinstance(value, int) and not isinstance(value, bool):
         return f"{value:,}"
-    return str(value)
+    return escape(str(value))
 
 
 @contextmanager
 def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """A progress bar on standard error; the function that is given hears how much is done."""
+    """A progress bar on standard error, if that is a terminal; the function that is given hears how much is done."""
     columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    hidden = not sys.stderr.isatty()
+    with Progress(*columns, console=Console(stderr=True), transient=True, disable=hidden) as bar:
         task = bar.add_task(what, total=total)
         yield lambda done: bar.update(task, completed=done)

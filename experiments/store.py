@@ -1,13 +1,14 @@
 """The folder of a run: rows as they are found, then a table, a record and pictures, in place all at once.
 
-While it works, a run writes into a hidden folder beside its final place, named after what was asked for. A run that
-is stopped leaves it there; asking for the same again takes its rows over and goes on. Only a finished run is renamed
-into place.
+While it works, a run writes into a hidden folder beside its final place, named after what was asked for and of what. A
+run that is stopped leaves it there; asking for the same again takes its rows over and goes on. Only a finished run is
+put into place.
 """
 
 from __future__ import annotations
 
 import csv
+import fcntl
 import hashlib
 import json
 import os
@@ -15,6 +16,7 @@ import platform
 import shutil
 import subprocess
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -22,22 +24,44 @@ from typing import Any
 
 from slefejax.errors import InputError
 
-PACKAGES = ("slefejax", "jax", "jaxlib", "numpy", "scipy", "moderngl", "matplotlib")
+PACKAGES = ("slefejax", "jax", "jaxlib", "numpy", "scipy", "trimesh", "moderngl", "matplotlib")
 Row = dict[str, Any]
 
 
 class Run:
-    """One run of an experiment. Nothing is written before the first row."""
+    """One run of an experiment. Nothing is written before the first row or file.
 
-    def __init__(self, experiment: str, arguments: dict[str, Any], out: Path | None) -> None:
-        self.experiment, self.arguments, self._out = experiment, arguments, out
-        self.parent = out.parent if out else Path("runs") / experiment
-        if out and out.exists() and not (out.is_dir() and not any(out.iterdir())):
+    arguments : what was asked for
+    inputs    : what it was asked of, besides: contents of files (``digest``), the device
+    out       : the folder for the results, or None for runs/EXPERIMENT/TIME
+    """
+
+    def __init__(self, experiment: str, arguments: Row, out: Path | None, inputs: Row | None = None) -> None:
+        self.experiment, self.arguments = experiment, arguments
+        self._out = out.resolve() if out else None
+        if self._out and self._out.exists() and not (self._out.is_dir() and not any(self._out.iterdir())):
             raise InputError(f"--out {out} exists and is not an empty folder: name another one, nothing is overwritten")
-        text = json.dumps([experiment, arguments, str(out), _versions()], sort_keys=True, default=str)
-        digest = hashlib.sha256(text.encode()).hexdigest()[:12]
-        self.work = self.parent / f".{experiment}-{digest}.partial"
+        self.parent = self._out.parent if self._out else Path("runs") / experiment
+        text = json.dumps(
+            [experiment, arguments, inputs, str(self._out), _versions(), _commit()], sort_keys=True, default=str
+        )
+        self.work = self.parent / f".{experiment}-{digest(text.encode())}.partial"
         self._rows_file = self.work / "rows.jsonl"
+        self._lock: int | None = None
+
+    def __enter__(self) -> Run:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """A run that turned out to be impossible before its first row leaves nothing behind."""
+        if kind is not None and issubclass(kind, InputError) and self._lock is not None and not self.rows():
+            shutil.rmtree(self.work, ignore_errors=True)
+            for folder in () if self._out else (self.parent, self.parent.parent):
+                with suppress(OSError):  # it holds other runs
+                    folder.rmdir()
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
 
     def file(self, name: str) -> Path:
         """Where a file of this run is written."""
@@ -59,10 +83,18 @@ class Run:
             os.fsync(file.fileno())
 
     def each(
-        self, key: str, values: list[Any], make_row: Callable[[Any], Row], progress: Callable[[int], None]
+        self,
+        key: str,
+        values: list[Any],
+        make_row: Callable[[Any], Row],
+        progress: Callable[[int], None],
+        picture: Callable[[Any], str] | None = None,
     ) -> list[Row]:
-        """A row for each value, those of an earlier run taken over; ``progress`` hears how many there are."""
-        found = {row[key]: row for row in self.rows()}
+        """A row for each value, those of an earlier run taken over; ``progress`` hears how many there are.
+
+        picture : the name of the file that ``make_row`` writes beside its row; a row without it is made again
+        """
+        found = {row[key]: row for row in self.rows() if not picture or (self.work / picture(row[key])).exists()}
         for value in values:
             if value not in found:
                 found[value] = {key: value, **make_row(value)}
@@ -70,9 +102,9 @@ class Run:
             progress(len(found))
         return [found[value] for value in values]
 
-    def finish(self, rows: list[Row], record: dict[str, Any], table: str = "table.csv") -> Path:
+    def finish(self, rows: list[Row], record: Row) -> Path:
         """Write the table and the record, and put the run's folder into place. Returns the folder."""
-        write_csv(self.file(table), rows)
+        write_csv(self.file("table.csv"), rows)
         content = {
             "experiment": self.experiment,
             "arguments": self.arguments,
@@ -84,33 +116,50 @@ class Run:
         }
         self.file("run.json").write_text(json.dumps(content, indent=2, default=str) + "\n")
         self._rows_file.unlink(missing_ok=True)
+        (self.work / _LOCK).unlink(missing_ok=True)
         return self._into_place()
 
     def _into_place(self) -> Path:
-        if self._out:
-            if self._out.exists():
-                self._out.rmdir()
+        if self._out is None:
+            return self.work.rename(self._free_place())
+        if not self._out.exists():
             return self.work.rename(self._out)
+        # the folder that was named may be somebody's current one: it stays, and the record comes last
+        for file in sorted(self.work.iterdir(), key=lambda path: path.name == "run.json"):
+            file.rename(self._out / file.name)
+        self.work.rmdir()
+        return self._out
+
+    def _free_place(self) -> Path:
         stamp = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
         place, number = self.parent / stamp, 1
         while place.exists():
             number += 1
             place = self.parent / f"{stamp}_{number}"
-        return self.work.rename(place)
+        return place
 
     def _make_folder(self) -> None:
+        if self._lock is not None:
+            return
         try:
             self.work.mkdir(parents=True, exist_ok=True)
+            self._lock = os.open(self.work / _LOCK, os.O_CREAT | os.O_RDWR)
         except OSError as error:
             raise InputError(f"the results cannot be written to {self.parent}: {error.strerror or error}") from None
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(self._lock)
+            self._lock = None
+            raise InputError(f"the same run is under way in another process ({self.work}): wait for it") from None
 
-    def __enter__(self) -> Run:
-        return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """A run that turned out to be impossible before its first row leaves nothing behind."""
-        if kind is not None and issubclass(kind, InputError) and not self.rows():
-            shutil.rmtree(self.work, ignore_errors=True)
+_LOCK = "lock"
+
+
+def digest(content: bytes) -> str:
+    """A short name for some content."""
+    return hashlib.sha256(content).hexdigest()[:12]
 
 
 def write_csv(path: Path, rows: list[Row]) -> None:

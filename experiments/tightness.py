@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import tyro
 
-from slefejax import slefe, slefe_table
+from slefejax import slefe, slefe_boxes, slefe_table
 from slefejax.bezier import evaluate_curve
 from slefejax.errors import InputError
 from slefejax.experiments.options import OutputOptions
@@ -55,7 +55,10 @@ class Tightness:
             rows = [{name: value for name, value in row.items() if name != "case"} for row in rows]
             self._draw(run, rows)
             out = run.finish(rows, {"scene": None, "timed_batch": TIMED_BATCH, **tensor_order(self.seed)})
-        return Report("curves", out, rows, f"width over the narrowest possible, curves of degree {self.degree}")
+        title = (
+            f"width of bounds over the narrowest possible, curves of degree {self.degree}, scalar functions on [0, 1]"
+        )
+        return Report(None, out, rows, title, as_json=self.output.json)
 
     def _check(self) -> None:
         if self.degree < 2:
@@ -167,8 +170,6 @@ def _median_seconds(call: Callable[[], object]) -> float:
 
 def tensor_order(seed: int, patches: int = 1000, degree: int = 3, segments: int = 3) -> dict[str, float]:
     """Bounds in v then u over bounds in u then v: the median ratio of widths of random patches, and its extremes."""
-    from slefejax import slefe_boxes
-
     nets = np.random.default_rng(seed).normal(size=(patches, degree + 1, degree + 1, 1))
     one, other = (slefe_boxes(n, segments) for n in (nets, np.swapaxes(nets, 1, 2)))
     width, turned = (np.max(np.asarray(b.upper) - np.asarray(b.lower), axis=(1, 2, 3)) for b in (one, other))

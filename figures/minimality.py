@@ -15,21 +15,34 @@ from slefejax.figures.style import BACKGROUND, ERROR_CLASSES, FACTOR_MAP, SETTIN
 
 _MARGIN = 12  # pixels around the object
 Box = tuple[slice, slice]
+Label = tuple[float, float, str]
 
 
-def write_factor_map(path: Path, factor: np.ndarray) -> None:
-    """The factor of the patch that is seen at every pixel; ``factor`` has row 0 at the bottom, NaN is background."""
+def write_factor_map(path: Path, factor: np.ndarray, labels: list[Label]) -> None:
+    """The factor of the patch that is seen at every pixel; ``factor`` has row 0 at the bottom, NaN is background.
+
+    labels : (column, row, text) to write on the picture
+    """
     with mpl.rc_context(SETTINGS):
         figure = new_figure(10, 6.2)
         axes = figure.subplots()
-        _paint_factors(axes, factor, _occupied(factor))
+        _paint_factors(axes, factor, labels, _occupied(factor))
         save(figure, path)
 
 
 def write_minimality_figure(
-    path: Path, rows: list[dict[str, Any]], images: list[Path], factor: np.ndarray, scene: str
+    path: Path,
+    rows: list[dict[str, Any]],
+    images: list[Path],
+    factor: np.ndarray,
+    labels: list[Label],
+    scene: str,
+    tolerance: float,
 ) -> None:
-    """Everything on one page. ``rows`` and ``images``: one a scale each; ``factor`` as in ``write_factor_map``."""
+    """Everything on one page. ``rows`` and ``images``: one a scale each; ``factor``, ``labels``: ``write_factor_map``.
+
+    tolerance : the error in pixels that the factors were predicted for
+    """
     columns = 3
     lines = -(-len(rows) // columns)
     with mpl.rc_context(SETTINGS):
@@ -38,7 +51,7 @@ def write_minimality_figure(
         top, bottom = halves
         box = _occupied(factor)
         left, right = top.subplots(1, 2, width_ratios=[1.25, 1])
-        _paint_factors(left, factor, box)
+        _paint_factors(left, factor, labels, box)
         _plot_shares(right, rows)
         grid = np.ravel(bottom.subplots(lines, columns))
         for axes, row, image in zip(grid, rows, images, strict=False):
@@ -49,9 +62,10 @@ def write_minimality_figure(
         bottom.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, title="error of a pixel")
         first = rows[0]
         figure.suptitle(
-            f"{scene}: is the predicted tessellation safe, and would less do?  Predicted factors ({first['method']},"
-            f" m = {first['segments']}) are multiplied by a scale,\nthe {first['patches']} patches rendered, and each"
-            " pixel compared with the exact surface: how far is it from where its texture belongs?",
+            f"{scene}: is the predicted tessellation safe, and would less do?  Factors predicted ({first['method']},"
+            f" m = {first['segments']}) for an error of at most {tolerance:g} px are multiplied by a scale,\nthe"
+            f" {first['patches']} patches rendered, and each pixel compared with the exact surface: how far is it from"
+            " where its texture belongs?",
             fontsize=13,
         )
         save(figure, path)
@@ -63,9 +77,13 @@ def _occupied(values: np.ndarray) -> Box:
     return tuple(slice(max(0, r[0] - _MARGIN), r[-1] + _MARGIN + 1) for r in (rows, columns))  # type: ignore[return-value]
 
 
-def _paint_factors(axes: Axes, factor: np.ndarray, box: Box) -> None:
+def _paint_factors(axes: Axes, factor: np.ndarray, labels: list[Label], box: Box) -> None:
     picture = axes.imshow(factor[box], origin="lower", cmap=FACTOR_MAP, interpolation="nearest")
-    _bare(axes, "predicted tessellation factor of each patch (scale 1)")
+    for column, row, text in labels:
+        place = (column - box[1].start, row - box[0].start)
+        frame = {"fc": "white", "ec": "none", "alpha": 0.7}
+        axes.annotate(text, place, ha="center", va="center", fontsize=9, bbox=frame)
+    _bare(axes, "predicted tessellation factor of each patch, before scaling")
     bar = axes.figure.colorbar(picture, ax=axes, shrink=0.85)
     bar.set_label("factor: pieces along each side")
 
@@ -73,12 +91,9 @@ def _paint_factors(axes: Axes, factor: np.ndarray, box: Box) -> None:
 def _plot_shares(axes: Axes, rows: list[dict[str, Any]]) -> None:
     rows = sorted(rows, key=lambda row: row["scale"])
     scales = [row["scale"] for row in rows]
-    for name, marker, (limit, _, _), (_, colour, _) in zip(
-        ("share_above_0.1", "share_above_0.5", "share_above_1"), "so^", ERROR_CLASSES, ERROR_CLASSES[1:], strict=False
-    ):
-        axes.plot(
-            scales, [100 * row[name] for row in rows], marker=marker, color=colour, label=f"more than {limit:g} px off"
-        )
+    for limit, style, grey in ((0.1, "s:", "0.55"), (0.5, "o-", "0.0"), (1.0, "^--", "0.3")):
+        shares = [100 * row[f"share_above_{limit:g}"] for row in rows]
+        axes.plot(scales, shares, style, color=grey, label=f"more than {limit:g} px off")
     axes.set_yscale("symlog", linthresh=0.01)
     axes.set_ylim(0, 150)
     ticks = [0, 0.01, 0.1, 1, 10, 100]
@@ -90,7 +105,7 @@ def _plot_shares(axes: Axes, rows: list[dict[str, Any]]) -> None:
 
 
 def _show_errors(axes: Axes, row: dict[str, Any], image: np.ndarray, box: Box) -> None:
-    axes.imshow(image[::-1][box], origin="lower", interpolation="antialiased")
+    axes.imshow(image[::-1][box], origin="lower", interpolation="nearest")
     _bare(
         axes,
         f"scale {row['scale']:g}:  {row['triangles']:,} triangles\n{100 * row['share_above_0.5']:.2g} % of the pixels"

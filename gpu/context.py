@@ -9,10 +9,10 @@ from typing import Any
 import moderngl
 
 from slefejax.errors import NoOpenGLError
+from slefejax.tessellator import HIGHEST_LEVEL
 
 OPENGL = 430
 PACKAGES = "libegl1 libgl1 libgl1-mesa-dri"
-HIGHEST_LEVEL = 64  # of tessellation: what OpenGL guarantees, and what drivers offer
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import moderngl
 import numpy as np
 from jaxtyping import Float, Int
 
+from slefejax.arguments import Patches, check_patches
 from slefejax.errors import InputError
 from slefejax.gpu.context import Device, open_device
 from slefejax.gpu.programs import capture_program, draw_program
@@ -20,8 +21,8 @@ VERTICES_A_DRAW = 65_536
 _HIGHEST_PATCH_NUMBER = 2**24
 _RECORD = 20  # floats a captured triangle, see capture.geom
 
-Inner = Int[np.ndarray, "patches 2"]
-Outer = Int[np.ndarray, "patches 4"]
+Inner = Any  # whole numbers (patches, 2), along u and v
+Outer = Any  # whole numbers (patches, 4), at u=0, v=0, u=1, v=1
 
 
 @dataclass(frozen=True)
@@ -56,23 +57,24 @@ class Triangles:
 class Renderer:
     """Holds the control points on the device and draws them with any levels, from any view.
 
-    patches : ``(patches, du+1, dv+1, 3)`` or, rational, 4 at the end; sent as float32
+    patches : ``(patches, du+1, dv+1, 3)`` or, rational, 4 at the end; sent as float32, relative to the box around
+              them, so that a scene far from the origin, or of any size, loses nothing
     device  : from ``open_device``, which is called if it is not given
 
     >>> renderer = Renderer(patches)                                        # doctest: +SKIP
     >>> buffer = renderer.draw(view, factors.inner, factors.edges)          # doctest: +SKIP
     """
 
-    def __init__(self, patches: Float[np.ndarray, "patches nu nv dim"], device: Device | None = None) -> None:
+    def __init__(self, patches: Patches, device: Device | None = None) -> None:
         self.device = device or open_device()
         self.device.check_thread()
-        with np.errstate(over="ignore"):
-            control = np.ascontiguousarray(patches, np.float32)
-        if not np.isfinite(control).all():
-            bad = np.flatnonzero(~np.isfinite(control).all(axis=(1, 2, 3)))[0]
-            raise InputError(f"patch {bad} (counted from 0) has control points that are not finite float32 numbers")
-        if len(control) >= _HIGHEST_PATCH_NUMBER:
-            raise InputError(f"the G-buffer can number {_HIGHEST_PATCH_NUMBER - 1} patches, not {len(control)}")
+        patches = np.asarray(check_patches(patches), np.float64)
+        bad = np.flatnonzero(~np.isfinite(patches).all(axis=(1, 2, 3)))
+        if bad.size:
+            raise InputError(f"patch {bad[0]} (counted from 0) has control points that are not finite numbers")
+        if len(patches) >= _HIGHEST_PATCH_NUMBER:
+            raise InputError(f"the G-buffer can number {_HIGHEST_PATCH_NUMBER - 1} patches, not {len(patches)}")
+        control, self._to_world = _in_unit_box(patches)
         self._count = len(control)
         self._shape = (control.shape[1], control.shape[2], control.shape[3])
         context = self.device.context
@@ -144,7 +146,8 @@ class Renderer:
         self.device.check_thread()
         inner, outer = self._checked_levels(inner, outer)
         array = self._array(name, make_program)
-        array.program["world_to_clip"].write(np.asarray(view.world_to_clip, np.float32).T.tobytes())
+        to_clip = np.asarray(view.world_to_clip, np.float64) @ self._to_world
+        array.program["to_clip"].write(to_clip.astype(np.float32).T.tobytes())
         self._levels.write(np.hstack([inner, outer]).astype(np.int32).tobytes())
         self._control.bind_to_storage_buffer(0)
         self._levels.bind_to_storage_buffer(1)
@@ -168,8 +171,15 @@ class Renderer:
                     f"a picture of {size[0]} x {size[1]} pixels is too large for {self.device.renderer}:"
                     f" its limit is {self.device.largest_picture} pixels a side"
                 )
-            colour = context.renderbuffer(size, 4, dtype="f4")
-            self._target = (size, context.framebuffer([colour], context.depth_renderbuffer(size)))
+            try:
+                colour = context.renderbuffer(size, 4, dtype="f4")
+                self._target = (size, context.framebuffer([colour], context.depth_renderbuffer(size)))
+            except moderngl.Error:
+                _ = context.error  # OpenGL remembers that it ran out of memory
+                raise InputError(
+                    f"{self.device.renderer} has no memory for a picture of {size[0]} x {size[1]} pixels:"
+                    " make it smaller"
+                ) from None
         return self._target[1]
 
     def _release_target(self) -> None:
@@ -183,13 +193,37 @@ class Renderer:
 
     def _checked_levels(self, inner: Inner, outer: Outer) -> tuple[Inner, Outer]:
         inner, outer = np.asarray(inner), np.asarray(outer)
+        if not all(np.issubdtype(levels.dtype, np.integer) for levels in (inner, outer)):
+            raise InputError("levels must be whole numbers: round them up")
         if inner.shape != (self._count, 2) or outer.shape != (self._count, 4):
             raise InputError(
                 f"levels for {self._count} patches must have shapes ({self._count}, 2) and ({self._count}, 4),"
                 f" not {inner.shape} and {outer.shape}"
             )
+        if min(inner.min(), outer.min()) < 0:
+            raise InputError("levels must not be negative: 0 leaves a patch out")
         check_levels(np.maximum(inner.max(axis=1), outer.max(axis=1)), self.device.highest_level)
         return inner, outer
+
+
+def _in_unit_box(patches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """float32 control points relative to the box around them, and the matrix that takes them back to the world.
+
+    Equal points stay equal, so shared edges stay shared. The scale is a power of two.
+    """
+    rational = patches.shape[3] == 4
+    weights = patches[..., 3:] if rational else np.ones((1, 1, 1, 1))
+    points = (patches[..., :3] / weights).reshape(-1, 3)
+    low, high = points.min(axis=0), points.max(axis=0)
+    centre = 0.5 * low + 0.5 * high
+    extent = float(np.max(0.5 * high - 0.5 * low))
+    scale = float(2.0 ** np.ceil(np.log2(extent))) if extent > 0 else 1.0
+    local = (patches[..., :3] - centre * weights) / scale
+    to_world = np.diag([scale, scale, scale, 1.0])
+    to_world[:3, 3] = centre
+    return np.concatenate([local, weights], axis=3).astype(np.float32) if rational else local.astype(
+        np.float32
+    ), to_world
 
 
 def check_levels(levels: Int[np.ndarray, "patches"], highest: int) -> None:

@@ -41,6 +41,13 @@ def segment_pair(segments: Segments) -> tuple[int, int]:
     return check_segments(pair[0]), check_segments(pair[1])
 
 
+def check_axis(axis: Any, rank: int) -> int:
+    """The axis, or InputError unless an array of that rank has it."""
+    if not is_whole(axis, -rank) or axis >= rank:
+        raise InputError(f"axis {axis!r} is none of an array with {rank} axes")
+    return int(axis)
+
+
 def check_positive(name: str, value: Number) -> None:
     """InputError unless the number is positive and finite."""
     if isinstance(value, Tracer):
@@ -54,7 +61,10 @@ def check_positive(name: str, value: Number) -> None:
 
 
 def floating(values: Numbers) -> Any:
-    """Numbers as a floating-point array in the dtype that they have (whole numbers: float64), or InputError."""
+    """Numbers as an array of float32 or float64, whichever they are, or InputError.
+
+    Half precision becomes float32; anything else, whole numbers too, float64 (float32 where JAX has no float64).
+    """
     try:
         array = values if isinstance(values, (jax.Array, np.ndarray)) else np.asarray(values)
     except ValueError as error:
@@ -63,7 +73,10 @@ def floating(values: Numbers) -> Any:
         raise InputError(f"an array of numbers is needed, not of {array.dtype}")
     if jnp.issubdtype(array.dtype, jnp.complexfloating):
         raise InputError("an array of real numbers is needed, not of complex ones")
-    return array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(np.float64)
+    if str(array.dtype) in ("float32", "float64"):  # not of the other byte order
+        return array
+    half = str(array.dtype) in ("float16", "bfloat16")
+    return array.astype(np.float32 if half else jax.dtypes.canonicalize_dtype(np.float64))
 
 
 def check_patches(patches: Patches, dims: tuple[int, ...] | None = (3, 4)) -> Any:

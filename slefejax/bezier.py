@@ -83,7 +83,9 @@ def elevate(coefficients: Float[np.ndarray, "n *rest"], degree: int) -> Float[np
     while coefficients.shape[0] - 1 < degree:
         n = coefficients.shape[0]
         share = np.arange(1, n).reshape((-1,) + (1,) * (coefficients.ndim - 1))
-        inner = (share / n) * coefficients[:-1] + ((n - share) / n) * coefficients[1:]
+        before, after = coefficients[:-1], coefficients[1:]
+        # equal neighbours stay as they are, so that a collapsed edge stays one
+        inner = np.where(before == after, before, (share / n) * before + ((n - share) / n) * after)
         coefficients = np.concatenate([coefficients[:1], inner, coefficients[-1:]])
     return coefficients
 

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from slefejax.arguments import Numbers, Segments, check_segments, floating, is_whole, segment_pair
+from slefejax.arguments import Numbers, Segments, check_axis, check_segments, floating, is_whole, segment_pair
 from slefejax.bezier import second_differences
 from slefejax.errors import InputError
 from slefejax.slefe import Slefe
@@ -48,7 +48,7 @@ def bspline_slefe(coefficients: Numbers, degree: Any, segments: Any, axis: int =
     if not is_whole(degree, 1):
         raise InputError(f"the degree of a spline must be a whole number of at least 1, not {degree!r}")
     coefficients = floating(coefficients)
-    if coefficients.ndim == 0 or coefficients.shape[axis] < degree + 1:
+    if coefficients.ndim == 0 or coefficients.shape[check_axis(axis, coefficients.ndim)] < degree + 1:
         raise InputError(f"a spline of degree {degree} needs at least {degree + 1} control points along its axis")
     lower, upper = _spline_jit(coefficients, int(degree), int(segments), axis)
     return Slefe(lower, upper)

@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 
 from slefejax import layout
 from slefejax.bezier import evaluate_patch
+from slefejax.errors import InputError
 from slefejax.view import View, homogeneous
 
 
@@ -29,7 +30,7 @@ def pixel_error(
 
     patches     : control points, ``(patches, du+1, dv+1, 3)`` or, rational, 4 at the end
     u, v, patch : what the renderer found at each pixel centre, row 0 at the bottom; patch -1 where nothing is
-    returns     : pixels, float64; NaN where nothing is
+    returns     : pixels, float64; NaN where nothing is, infinite where the exact point is not in front of the camera
 
     Colours in the papers' pictures: grey up to 0.1 pixel, blue up to 0.5, green up to 1, red above.
     """
@@ -38,7 +39,8 @@ def pixel_error(
     if rows.size:
         at = (rows, columns)
         screen = surface_on_screen(patches, view, patch[at], u[at], v[at])
-        error[at] = np.maximum(np.abs(screen[:, 0] - (columns + 0.5)), np.abs(screen[:, 1] - (rows + 0.5)))
+        distance = np.maximum(np.abs(screen[:, 0] - (columns + 0.5)), np.abs(screen[:, 1] - (rows + 0.5)))
+        error[at] = np.where(np.isnan(distance), np.inf, distance)
     return error
 
 
@@ -49,7 +51,12 @@ def surface_on_screen(
     u: Float[np.ndarray, "points"],
     v: Float[np.ndarray, "points"],
 ) -> Float[np.ndarray, "points 3"]:
-    """P(p(u, v)): screen position in pixels and window depth of points of patches, float64."""
+    """P(p(u, v)): screen position in pixels and window depth of points of patches, float64.
+
+    NaN for a point that is not in front of the camera (W <= 0). Raises InputError for a patch number that is not there.
+    """
+    if patch.size and not (patch.min() >= 0 and patch.max() < len(patches)):
+        raise InputError(f"patch numbers must be from 0 to {len(patches) - 1}, not {patch.min()} to {patch.max()}")
     with jax.enable_x64(True):
         control: Any = homogeneous(np.asarray(patches, np.float64)) @ np.asarray(view.world_to_screen).T
         samples = np.column_stack([u, v, patch]).astype(np.float64)
@@ -62,6 +69,6 @@ def _evaluate(samples: Float[Any, "chunks 3 lanes"], control: Float[Any, "nu nv 
     def positions(chunk: Any) -> Any:
         own = control[..., chunk[2].astype(jnp.int32)]
         point = evaluate_patch(own, chunk[0], chunk[1])
-        return point[:3] / point[3]
+        return jnp.where(point[3] > 0, point[:3] / point[3], jnp.nan)
 
     return layout.over_chunks(positions, samples)

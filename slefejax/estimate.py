@@ -22,7 +22,7 @@ Grid = Float[Array, "bu bv lanes"]
 class Projection(NamedTuple):
     """What the estimate needs to know of a view."""
 
-    to_screen: Any  # (4, 4): world to undivided pixels, window depth, W
+    to_pixels: Any  # (4, 4): world to undivided pixels from the picture's centre, half window depth, W
     frustum: Any  # (6, 4): linear in the homogeneous world point, all at least 0 inside the view volume
     near_w: Any  # W of the near plane
 
@@ -33,7 +33,10 @@ class Projection(NamedTuple):
         x, y, z, w = matrix[0], matrix[1], matrix[2], matrix[3]
         planes = [x, view.width * w - x, y, view.height * w - y, z, w - z]
         xp = np if isinstance(matrix, np.ndarray) else jnp
-        return Projection(matrix, xp.stack(planes), view.camera.near_w)
+        clip = view.world_to_clip
+        halves = (0.5 * view.width, 0.5 * view.height, 0.5, 1.0)
+        scaled = [clip[row] * half for row, half in enumerate(halves)]
+        return Projection(xp.stack(scaled), xp.stack(planes), view.camera.near_w)
 
 
 def slefe_factor(
@@ -110,7 +113,7 @@ def projected_widths(lower: Any, upper: Any, projection: Projection, with_depth:
 
     A corner with W below that of the near plane is measured in the near plane.
     """
-    matrix, ends = projection.to_screen, (lower, upper)
+    matrix, ends = projection.to_pixels, (lower, upper)
     parts = [[[row[a] * end[:, :, a] for end in ends] for a in range(3)] for row in matrix]
     rows = range(3) if with_depth else range(2)
     low, high = [None] * 3, [None] * 3
@@ -130,11 +133,11 @@ def rational_widths(
 ) -> tuple[Grid, Grid | None]:
     """The widths of rational patches: at each breakpoint that of the slefe of X - s W, over W (MATH.md, section 6).
 
-    The papers have none. X, Y and W are the polynomials of the undivided screen position, s is X/W at the breakpoint,
+    The papers have none. X, Y and W are the polynomials of the undivided pixel position, s is X/W at the breakpoint,
     so x - s = (X - s W)/W, and numerator and denominator do not vary apart. Near and behind the camera W counts as at
     the near plane.
     """
-    screen = jnp.stack([sum(row[a] * control[:, :, a] for a in range(4)) for row in projection.to_screen], axis=2)
+    screen = jnp.stack([sum(row[a] * control[:, :, a] for a in range(4)) for row in projection.to_pixels], axis=2)
     lower, upper = enclose_patch(screen, segments)
     middle = 0.5 * (lower + upper)
     w = _larger(middle[:, :, 3], jnp.full_like(middle[:, :, 3], projection.near_w))[:, :, None]

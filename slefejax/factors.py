@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -22,24 +22,43 @@ from slefejax.tiles import check_weights
 from slefejax.view import View
 
 METHODS = ("slefe",)
+_LARGEST_LEVEL = 2**31
 
 
 @jax.tree_util.register_pytree_node_class
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Factors:
     """Tessellation factors of a batch of patches.
 
-    factor       : ``(patches,)``, real, before rounding up; 0 for a patch that is off-screen
-    edge_numbers : ``(patches, 4)``, equal where edges are shared (``slefejax.edges``); None inside a trace
+    factor  : ``(patches,)``, real, before rounding up; 0 for a patch that is off-screen
+    patches : the control points, from which shared edges are found when they are asked for; None inside a trace
+    known   : the result of ``slefejax.edges.shared_edges`` if it is there already
     """
 
     factor: Float[Array | np.ndarray, "patches"]
-    edge_numbers: Int[np.ndarray, "patches 4"] | None = None
+    patches: Any = field(default=None, repr=False)
+    known: Int[np.ndarray, "patches 4"] | None = field(default=None, repr=False)
 
     @cached_property
     def levels(self) -> Int[np.ndarray, "patches"]:
-        """The factors rounded up to whole numbers."""
-        return np.ceil(np.asarray(self.factor)).astype(np.int64)
+        """The factors rounded up to whole numbers. Raises InputError for factors too large to be such numbers."""
+        rounded = np.ceil(np.asarray(self.factor, np.float64))
+        if not np.all(rounded < _LARGEST_LEVEL):
+            worst = int(np.argmax(rounded))
+            raise InputError(
+                f"the factor of patch {worst} (counted from 0) is {rounded[worst]:.3g}, which no tessellation can have:"
+                " raise the tolerance or move the camera away"
+            )
+        return rounded.astype(np.int64)
+
+    @cached_property
+    def edge_numbers(self) -> Int[np.ndarray, "patches 4"]:
+        """A number for every edge, equal where edges are shared (``slefejax.edges``)."""
+        if self.known is not None:
+            return self.known
+        if self.patches is None:
+            raise InputError("edges need concrete control points: call tessellation_factors outside of jit and grad")
+        return shared_edges(np.asarray(self.patches))
 
     @cached_property
     def inner(self) -> Int[np.ndarray, "patches 2"]:
@@ -49,16 +68,11 @@ class Factors:
     @cached_property
     def edges(self) -> Int[np.ndarray, "patches 4"]:
         """Outer levels at u=0, v=0, u=1, v=1 (OpenGL's order): the larger of the two neighbours', 0 off-screen."""
-        if self.edge_numbers is None:
-            raise InputError(
-                "edge levels need concrete control points: call tessellation_factors outside of jit and grad"
-            )
         return edge_maxima(self.levels, self.edge_numbers)
 
     def scaled(self, scale: float) -> Factors:
         """The same with every factor multiplied by ``scale`` > 0, to see whether less would do."""
-        if not scale > 0:
-            raise InputError(f"a scale must be positive, not {scale}")
+        check_positive("a scale", scale)
         return replace(self, factor=self.factor * scale)
 
     def tree_flatten(self) -> tuple[tuple[Any], None]:
@@ -114,9 +128,12 @@ def tessellation_factors(
     check_weights(patches)
     if method not in METHODS:
         raise InputError(f"there is no method {method!r}: choose one of {', '.join(METHODS)}")
-    for name, value in (("tolerance", tolerance), ("depth_tolerance", depth_tolerance), ("k", k)):
-        if value is not None:
-            check_positive(name, value)
+    check_positive("tolerance", tolerance)
+    check_positive("k", k)
+    if depth_tolerance is not None:
+        check_positive("depth_tolerance", depth_tolerance)
+    if not isinstance(view, View):
+        raise InputError(f"the view must be a slefejax.View (a camera and a picture size), not {type(view).__name__}")
     dtype = jax.dtypes.canonicalize_dtype(patches.dtype)
     projection = jax.tree.map(partial(jnp.asarray, dtype=dtype), Projection.of(view))
     scales = [None if x is None else jnp.asarray(x, dtype) for x in (tolerance, depth_tolerance, k)]
@@ -124,9 +141,9 @@ def tessellation_factors(
     chunks = _factors_jit(packed, projection, scales, segment_pair(segments))
     factor = layout.unpack(chunks, len(patches))
     if isinstance(factor, Tracer):
-        return Factors(factor, edge_numbers)
+        return Factors(factor, known=edge_numbers)
     _check_result(np.asarray(factor), np.asarray(patches))
-    return Factors(factor, shared_edges(np.asarray(patches)) if edge_numbers is None else edge_numbers)
+    return Factors(factor, patches, edge_numbers)
 
 
 @jax.jit(static_argnums=3)

@@ -41,9 +41,14 @@ class Scene:
         """Which edges are shared (``slefejax.edges.shared_edges``), found once."""
         return shared_edges(self.control)
 
-    def default_camera(self) -> Camera:
-        """The scene's own camera, or one that holds all of it."""
-        return self.camera or frame(self.control[..., :3].reshape(-1, 3))
+    def points(self) -> Float[np.ndarray, "points 3"]:
+        """All control points, divided by their weights if there are any."""
+        points = self.control[..., :3] / (self.control[..., 3:] if self.control.shape[-1] == 4 else 1.0)
+        return points.reshape(-1, 3)
+
+    def default_camera(self, aspect: float = 1.6) -> Camera:
+        """The scene's own camera, or one that holds all of it in a picture of that width over height."""
+        return self.camera or frame(self.points(), aspect=aspect)
 
 
 def load(path: str | Path) -> Scene:
@@ -57,6 +62,8 @@ def load(path: str | Path) -> Scene:
     """
     if str(path) in BUILT_IN:
         return BUILT_IN[str(path)]()
+    if not isinstance(path, (str, Path)):
+        raise InputError(f"a file name or a built-in scene is needed, not {path!r}")
     path = Path(path)
     reader = READERS.get(path.suffix.lower())
     if reader is None:

@@ -22,6 +22,7 @@ from slefejax.arguments import (
     Numbers,
     Patches,
     Segments,
+    check_axis,
     check_patches,
     check_segments,
     floating,
@@ -31,6 +32,8 @@ from slefejax.arguments import (
 from slefejax.bezier import second_differences
 from slefejax.errors import InputError
 from slefejax.slefe_tables import build_table
+
+HIGHEST_DEGREE = 64
 
 
 class SlefeTable(NamedTuple):
@@ -59,15 +62,17 @@ def slefe_table(degree: Any, segments: Any) -> SlefeTable:
     the upper to the next float64, the lower by 2**-48 of the largest value of |a_j|, which covers all rounding
     of its computation. Row d-j is row j reversed, bit for bit.
 
-    Raises InputError for a degree below 2 or fewer than one segment.
+    Raises InputError for a degree below 2 or above 64, or fewer than one segment.
 
     >>> slefe_table(3, 3).lower.round(6)
     array([[-0.069521, -0.439892, -0.315352, -0.008733],
            [-0.008733, -0.315352, -0.439892, -0.069521]])
     """
     check_segments(segments)
-    if not is_whole(degree, 2):
-        raise InputError(f"a slefe table needs a whole degree of at least 2, not {degree!r}: lines are their own bound")
+    if not is_whole(degree, 2) or degree > HIGHEST_DEGREE:
+        raise InputError(
+            f"a slefe table needs a whole degree from 2 to {HIGHEST_DEGREE}, not {degree!r} (lines are their own bound)"
+        )
     return _table(int(degree), int(segments))
 
 
@@ -94,7 +99,7 @@ def slefe(coefficients: Numbers, segments: Any, axis: int = -1) -> Slefe:
     """
     check_segments(segments)
     coefficients = floating(coefficients)
-    if coefficients.ndim == 0 or coefficients.shape[axis] < 2:
+    if coefficients.ndim == 0 or coefficients.shape[check_axis(axis, coefficients.ndim)] < 2:
         raise InputError("a slefe needs at least two coefficients along its axis (degree 1 or more)")
     lower, upper = _slefe_jit(coefficients, int(segments), axis)
     return Slefe(lower, upper)

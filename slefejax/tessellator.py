@@ -1,4 +1,4 @@
-"""How many vertices and triangles OpenGL's tessellator makes of a quad patch, with equal spacing.
+"""How many triangles OpenGL's tessellator makes of a quad patch, with equal spacing.
 
 Levels are whole numbers: ``inner`` along u and v, ``outer`` on the edges u=0, v=0, u=1, v=1. A patch with
 an outer level of 0 is dropped. All six levels 1 give two triangles; otherwise an inner level of 1 acts as 2
@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Int
+
+HIGHEST_LEVEL = 64  # what OpenGL guarantees, and what drivers offer
 
 Inner = Int[np.ndarray, "patches 2"]
 Outer = Int[np.ndarray, "patches 4"]
@@ -33,10 +35,3 @@ def triangle_counts(inner: Inner, outer: Outer) -> Int[np.ndarray, "patches"]:
     core = 2 * (acting[:, 0] - 2) * (acting[:, 1] - 2)
     ring = outer.sum(axis=1) + 2 * (acting - 2).sum(axis=1)
     return np.where(drawn, np.where(single, 2, core + ring), 0)
-
-
-def vertex_counts(inner: Inner, outer: Outer) -> Int[np.ndarray, "patches"]:
-    """Different vertices of every patch: those of the inner grid and those of the edges."""
-    acting, single, drawn = _effective(inner, outer)
-    count = (acting[:, 0] - 1) * (acting[:, 1] - 1) + outer.sum(axis=1)
-    return np.where(drawn, np.where(single, 4, count), 0)

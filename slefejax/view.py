@@ -31,6 +31,7 @@ from jaxtyping import Array, Float
 from slefejax.errors import InputError
 
 Matrix = Any  # (4, 4), NumPy or JAX
+_LARGEST = 1e100  # squares and products of such numbers are still finite
 Vector = Any  # three numbers: a tuple, a list or an array
 
 
@@ -51,7 +52,7 @@ def _check(condition: Any, message: str) -> None:
 
 
 @jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Camera:
     """A pinhole or an orthographic camera; build it with ``look_at`` or ``orthographic``.
 
@@ -115,9 +116,11 @@ class Camera:
             vector = getattr(camera, name)
             if vector.shape != (3,):
                 raise InputError(f"the camera's {name} must be three numbers, not an array of shape {vector.shape}")
-            _check(xp.all(xp.isfinite(vector)), f"the camera's {name} must be finite, not {vector}")
+            largest = xp.max(xp.abs(vector))
+            _check(largest < _LARGEST, f"the camera's {name} must be finite, and below {_LARGEST:g}, not {vector}")
         _check(_scalar(far) > _scalar(near), f"far ({far}) must be beyond near ({near})")
-        _check(xp.isfinite(_scalar(far)) & xp.isfinite(_scalar(extent)), "the camera's numbers must be finite")
+        for name, value in (("near", near), ("far", far), ("extent", extent)):
+            _check(xp.abs(_scalar(value)) < _LARGEST, f"the camera's {name} must be finite, not {value}")
         side = xp.cross(camera.target - camera.eye, camera.up)
         _check(
             xp.linalg.norm(side) > 0.0, "the camera's eye and target coincide, or the view direction is parallel to up"
@@ -158,7 +161,7 @@ class Camera:
 
 
 @jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class View:
     """A camera and the size of its picture in pixels.
 
@@ -174,8 +177,11 @@ class View:
     def __post_init__(self) -> None:
         for name in ("width", "height"):
             size = getattr(self, name)
-            if isinstance(size, (int, float, np.number)) and not (size >= 1 and float(size).is_integer()):
-                raise InputError(f"the view's {name} must be a whole number of pixels, at least 1, not {size}")
+            if isinstance(size, Tracer) or type(size) is object:  # inside of JAX
+                continue
+            whole = isinstance(size, (int, float, np.number, jax.Array)) and size >= 1 and float(size).is_integer()
+            if not whole:
+                raise InputError(f"the view's {name} must be a whole number of pixels, at least 1, not {size!r}")
 
     @property
     def world_to_clip(self) -> Matrix:
@@ -196,12 +202,28 @@ class View:
         return self.clip_to_screen @ self.world_to_clip
 
 
-def frame(points: Float[np.ndarray, "n 3"], view_direction: Vector = (-0.5, 0.75, -0.4), fov_y: float = 45.0) -> Camera:
-    """A perspective camera, up z, that looks along ``view_direction`` and holds the bounding sphere of the points."""
+def bounding_sphere(points: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, float]:
+    """(centre, radius) of a sphere around points: the centre of their box, the distance of the furthest."""
+    if not np.max(np.abs(points)) < _LARGEST:
+        raise InputError(f"the scene's coordinates must be finite and below {_LARGEST:g} to look at it")
     centre = (points.min(axis=0) + points.max(axis=0)) / 2.0
-    radius = float(np.linalg.norm(points - centre, axis=1).max()) or 1.0
+    return centre, float(np.linalg.norm(points - centre, axis=1).max()) or 1.0
+
+
+def frame(
+    points: Float[np.ndarray, "n 3"],
+    view_direction: Vector = (-0.5, 0.75, -0.4),
+    fov_y: float = 45.0,
+    aspect: float = 1.0,
+) -> Camera:
+    """A perspective camera, up z, that looks along ``view_direction`` and holds the bounding sphere of the points.
+
+    aspect : of the picture, width over height; a narrow picture needs more distance
+    """
+    centre, radius = bounding_sphere(points)
     direction = np.asarray(view_direction, np.float64)
-    distance = radius / np.sin(np.deg2rad(fov_y) / 2.0)
+    half = np.arctan(np.tan(np.deg2rad(fov_y) / 2.0) * min(1.0, aspect))
+    distance = radius / np.sin(half)
     eye = centre - direction / np.linalg.norm(direction) * distance
     return Camera.look_at(eye, centre, fov_y=fov_y, near=(distance - radius) / 4.0, far=4.0 * (distance + radius))
 

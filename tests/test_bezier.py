@@ -69,3 +69,9 @@ def test_second_differences_and_derivative():
     c = np.array([1.0, 4.0, 2.0, 8.0])
     assert bezier.second_differences(c).tolist() == [-5.0, 8.0]
     assert bezier.derivative(c).tolist() == [9.0, -6.0, 18.0]
+
+
+def test_elevation_keeps_constants_bitwise():
+    """A collapsed edge stays one point."""
+    for value in (0.1, 0.7, 0.3, 1 / 3):
+        assert np.all(bezier.elevate(np.full(2, value), 9) == value)

@@ -29,6 +29,10 @@ def test_blanks_and_line_ends_do_not_matter(tmp_path):
     assert np.array_equal(plain, odd)
 
 
+def test_byte_order_mark_is_no_number(tmp_path):
+    assert len(load(write(tmp_path, b"\xef\xbb\xbf1\n" + PATCH.encode())).patches()) == 1
+
+
 def test_different_degrees_are_raised_to_the_highest(tmp_path, rng):
     bump = rng.normal(size=(3, 4, 3))
     text = "2\n" + PATCH + "2 3\n" + "\n".join(" ".join(map(repr, p)) for p in bump.reshape(-1, 3).tolist())
@@ -59,6 +63,7 @@ def test_different_degrees_are_raised_to_the_highest(tmp_path, rng):
         ("9999999999\n", r"line 1: the number of patches"),
         ("999999999\n" + PATCH, r"line 6: the file ends"),
         ("1\n" + PATCH + "1 1\n", r"line 7: '1' follows the last of the 1 patches"),
+        ("1\n1 1\n0 0 1_0\n", r"line 3: a coordinate of patch 0 .* not '1_0'"),
         (b"\x00\xff\xfe\x80 1 2 3", "not a text file"),
     ],
 )

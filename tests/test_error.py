@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from slefejax import Camera, View
+from slefejax import Camera, InputError, View
 from slefejax.error import pixel_error, surface_on_screen
 
 
@@ -45,6 +45,16 @@ def test_error_is_the_larger_coordinate_and_nan_where_nothing_is():
     assert error[0, 1] == pytest.approx(0.7, abs=1e-12)
     assert np.nansum(error) == pytest.approx(0.7, abs=1e-12)
     assert np.all(np.isnan(pixel_error(square, view, u, v, patch * 0 - 1)))
+
+
+def test_points_behind_the_camera_are_infinitely_wrong():
+    square = np.array([[[0, -9, 0], [0, -9, 1]], [[1, -9, 0], [1, -9, 1]]], float)[None]
+    view = View(Camera.look_at((0, -5, 0), (0, 0, 0)), 2, 2)
+    half, first = np.full((2, 2), 0.5), np.zeros((2, 2), int)
+    assert np.all(np.isposinf(pixel_error(square, view, half, half, first)))
+    assert np.all(np.isposinf(pixel_error(square + [0, 4, 0], view, half, half, first)))
+    with pytest.raises(InputError, match="from 0 to 0, not 1 to 1"):
+        pixel_error(square, view, half, half, first + 1)
 
 
 def test_float64_whatever_the_settings(teapot, main_view):

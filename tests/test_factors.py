@@ -8,8 +8,37 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from slefejax import Camera, InputError, View, slefe, tessellation_factors
+from slefejax import Camera, InputError, View, slefe, slefe_table, tessellation_factors
 from slefejax import factors as factors_module
+
+
+def bounds_by_loops(c, m):
+    """Slefe of one polynomial from the table, in plain loops (2012, eq 2)."""
+    d = len(c) - 1
+    table = slefe_table(max(d, 2), m)
+    lower, upper = [], []
+    for b in range(m + 1):
+        low = high = (1 - b / m) * c[0] + b / m * c[-1]
+        for j in range(1, d):
+            bend = c[j - 1] - 2 * c[j] + c[j + 1]
+            for_upper, for_lower = (table.upper, table.lower) if bend > 0 else (table.lower, table.upper)
+            high += bend * for_upper[j - 1, b]
+            low += bend * for_lower[j - 1, b]
+        lower.append(low)
+        upper.append(high)
+    return np.array(lower), np.array(upper)
+
+
+def screen_by_hand(view, point):
+    """Pixels and window depth of a point: axes of the camera, similar triangles."""
+    camera = view.camera
+    forward = (camera.target - camera.eye) / np.linalg.norm(camera.target - camera.eye)
+    right = np.cross(forward, camera.up) / np.linalg.norm(np.cross(forward, camera.up))
+    away, near, far = point - camera.eye, camera.near, camera.far
+    depth = away @ forward
+    scale = view.height / 2 / np.tan(np.deg2rad(camera.extent / 2)) / depth
+    x, y = view.width / 2 + scale * (away @ right), view.height / 2 + scale * (away @ np.cross(right, forward))
+    return np.array([x, y, far / (far - near) * (1 - near / depth)])
 
 
 def factor_by_loops(patch, view, m, tolerance, k=1.0, depth_tolerance=None):
@@ -17,16 +46,15 @@ def factor_by_loops(patch, view, m, tolerance, k=1.0, depth_tolerance=None):
     n = m + 1
     lower, upper = np.zeros((n, n, 3)), np.zeros((n, n, 3))
     for c in range(3):
-        across = [slefe(patch[i, :, c], m) for i in range(patch.shape[0])]
+        across = [bounds_by_loops(patch[i, :, c], m) for i in range(patch.shape[0])]
         for j in range(n):
-            lower[:, j, c] = slefe(np.array([a.lower[j] for a in across]), m).lower
-            upper[:, j, c] = slefe(np.array([a.upper[j] for a in across]), m).upper
+            lower[:, j, c] = bounds_by_loops([low[j] for low, _ in across], m)[0]
+            upper[:, j, c] = bounds_by_loops([high[j] for _, high in across], m)[1]
     rectangles = np.zeros((n, n, 2, 3))
     for i, j in product(range(n), range(n)):
         corners = []
         for picks in product((lower, upper), repeat=3):
-            x = view.world_to_screen @ [*(picks[c][i, j, c] for c in range(3)), 1.0]
-            corners.append(x[:3] / x[3])
+            corners.append(screen_by_hand(view, np.array([picks[c][i, j, c] for c in range(3)])))
         rectangles[i, j] = np.min(corners, axis=0), np.max(corners, axis=0)
     counted = set()
     for i, j in product(range(m), range(m)):
@@ -78,7 +106,6 @@ def test_levels_and_edges(teapot, main_view):
     factors = tessellation_factors(teapot.patches(), main_view)
     assert np.array_equal(factors.inner, np.ceil(factors.factor)[:, None].astype(int) * [1, 1])
     assert np.all(factors.edges >= factors.levels[:, None])
-    assert factors.edge_numbers is not None
     for numbers in np.unique(factors.edge_numbers):
         at = factors.edge_numbers == numbers
         assert len(set(factors.edges[at])) == 1, "both sides of an edge agree"
@@ -96,16 +123,35 @@ def test_linear_patches_need_one_piece_and_invisible_ones_none():
 
 
 def test_neighbour_off_screen_leaves_the_edge_to_the_visible_one(rng):
+    """Two patches with an edge in common: it, and all of the second, lie to the right of the picture."""
     view = View(Camera.look_at((0, -5, 0), (0, 0, 0)), 100, 100)
-    seen = rng.normal(size=(4, 4, 3)) * 0.3
-    hidden = rng.normal(size=(4, 4, 3)) * 0.3 + [0, -60, 0]
+    across = np.linspace(0.0, 6.0, 4)[:, None, None] * np.array([1.0, 0.0, 0.0])
+    seen = across + rng.normal(size=(4, 4, 3)) * 0.3
+    hidden = seen[-1:] + across + rng.normal(size=(4, 4, 3)) * 0.1
     hidden[0] = seen[-1]
-    hidden[1:, :, 1] -= 400  # behind the camera but for the shared edge
-    factors = tessellation_factors(np.stack([seen, hidden - [0, 0, 0]]), view)
-    both = tessellation_factors(np.stack([seen, seen + [0, -60, 0]]), view)
-    assert both.edges[0].tolist() == [both.levels[0]] * 4
-    assert both.edges[1].tolist() == [0] * 4
-    assert factors.edges[0, 2] == max(factors.levels)
+    factors = tessellation_factors(np.stack([seen, hidden]), view)
+    assert factors.edge_numbers[0, 2] == factors.edge_numbers[1, 0]
+    assert factors.levels[0] > 1
+    assert factors.levels[1] == 0
+    assert factors.edges.tolist() == [[factors.levels[0]] * 4, [0] * 4]
+    wider = View(Camera.look_at((6, -30, 0), (6, 0, 0)), 1000, 1000)
+    assert tessellation_factors(np.stack([seen, hidden]), wider).levels.min() > 1, "and both are drawn from afar"
+
+
+def test_near_plane_rule_does_not_depend_on_left_and_right(rng):
+    """A mirrored scene in a mirrored view has the same factors, where patches cross the near plane too."""
+    view = View(Camera.look_at((0, 0, 0), (0, 1, 0)), 640, 480)
+    patches = rng.normal(size=(200, 4, 4, 3))
+    straight, mirrored = (np.asarray(tessellation_factors(patches * [s, 1, 1], view).factor) for s in (1, -1))
+    np.testing.assert_allclose(straight, mirrored, rtol=1e-9)
+    assert np.count_nonzero(np.any(patches[..., 1] < 0.1, axis=(1, 2)) & (straight > 0)) > 100
+
+
+def test_factors_beyond_all_levels_are_refused(rng):
+    near = View(Camera.look_at((0, 0, 0), (0, 1, 0), near=1e-44), 640, 480)
+    factors = tessellation_factors(rng.normal(size=(3, 4, 4, 3)), near)
+    with pytest.raises(InputError, match=r"factor of patch \d .* which no tessellation can have"):
+        _ = factors.levels
 
 
 @pytest.mark.parametrize("distance", [0.0, 1e-12, 0.05, 0.1, 0.3, 1.0])
@@ -191,12 +237,22 @@ def test_tracing_gives_factors_but_no_edges(teapot, main_view):
         ({"tolerance": float("nan")}, "tolerance"),
         ({"depth_tolerance": 0.0}, "depth_tolerance"),
         ({"k": "1"}, "k must be"),
+        ({"tolerance": None}, "tolerance"),
         ({"method": "magic"}, "no method 'magic'"),
     ],
 )
 def test_bad_options(teapot, main_view, options, says):
     with pytest.raises(InputError, match=says):
         tessellation_factors(teapot.patches(), main_view, **options)
+
+
+def test_views_and_other_dtypes(teapot, main_view):
+    with pytest.raises(InputError, match=r"must be a slefejax\.View"):
+        tessellation_factors(teapot.patches(), main_view.camera)
+    wanted = tessellation_factors(teapot.patches(), main_view).factor
+    for dtype in (">f8", np.longdouble):
+        assert np.array_equal(tessellation_factors(teapot.patches().astype(dtype), main_view).factor, wanted)
+    assert tessellation_factors(teapot.patches().astype(np.float16), main_view).factor.dtype == np.float32
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
@@ -238,7 +294,7 @@ def test_rational_widths_by_loops(rng):
     """One breakpoint after the other: the slefe of X - s W, in v and then in u."""
     view = View(Camera.look_at((0, -6, 1), (0, 0, 0)), 320, 240)
     patch = rational(rng.normal(size=(4, 3, 3)), rng.uniform(0.5, 2, (4, 3, 1)))
-    screen = patch @ view.world_to_screen.T
+    screen = patch @ (np.diag([160, 120, 0.5, 1]) @ view.world_to_clip).T
     widths = []
     for i, j in product(range(4), range(4)):
         parts = []

@@ -149,7 +149,7 @@ def test_bad_arguments(call, says):
 
 @pytest.mark.parametrize("degree", [2, 3, 5])
 def test_elevated_curves_are_enclosed_as_well(degree, rng):
-    """The same function in a higher degree has another slefe; both hold it, and neither is wider than twice the other."""
+    """The same function in a higher degree has another slefe; both hold it, neither twice as wide as the other."""
     widths = []
     for _ in range(30):
         curve = rng.normal(size=degree + 1)

@@ -25,7 +25,7 @@ def test_run(capsys):
         *("min-max", "oriented-box", "convex-hull", "disc", "filip", "control-polygon", "slefe")
     }
     assert not [row for row in rows if row["segments"] == 1 and row["method"] == "control-polygon"]
-    # the optimum is the narrowest continuous enclosure; separate boxes a piece may be narrower, piecewise-linear ones not
+    # the optimum is the narrowest continuous enclosure; separate boxes a piece may be narrower
     for row in rows:
         if row["method"] == "slefe":
             assert row["width_over_optimum_median"] >= 1 - 1e-6

@@ -74,6 +74,19 @@ def test_frame_holds_every_point(rng):
     assert places[:, 2].max() < 1
 
 
+@pytest.mark.parametrize("size", [(400, 900), (900, 400)])
+def test_frame_knows_the_pictures_shape(size, rng):
+    points = rng.normal(size=(300, 3))
+    view = View(frame(points, aspect=size[0] / size[1]), *size)
+    places = np.array([screen(view, p) for p in points])
+    assert places[:, :2].min() >= 0
+    assert np.all(places[:, :2].max(axis=0) <= size)
+
+
+def test_views_can_be_keys(view):
+    assert len({view, view, View(view.camera, 5, 5)}) == 2
+
+
 def test_homogeneous():
     assert homogeneous(np.ones((2, 3)))[:, 3].tolist() == [1.0, 1.0]
     rational = np.full((2, 4), 2.0)
@@ -88,6 +101,8 @@ def test_homogeneous():
         ({"near": 0.0}, "near"),
         ({"near": 2.0, "far": 1.0}, "beyond near"),
         ({"far": float("inf")}, "finite"),
+        ({"near": float("nan")}, "near"),
+        ({"eye": (0, 0, 1e200)}, "below 1e"),
         ({"up": (0, 1, 0)}, "parallel"),
         ({"target": (0, -5, 0)}, "coincide"),
         ({"eye": (0, float("nan"), 0)}, "eye must be finite"),
@@ -99,7 +114,7 @@ def test_bad_cameras(arguments, says):
         Camera.look_at(**{"eye": (0, -5, 0), "target": (0, 0, 0), **arguments})
 
 
-@pytest.mark.parametrize("size", [(0, 5), (5, -1), (2.5, 5), (float("nan"), 5)])
+@pytest.mark.parametrize("size", [(0, 5), (5, -1), (2.5, 5), (float("nan"), 5), ("9", 5), (np.array(-3), 4)])
 def test_bad_sizes(size):
     with pytest.raises(InputError, match="whole number of pixels"):
         View(Camera.look_at((0, -5, 0), (0, 0, 0)), *size)

@@ -4,7 +4,7 @@ layout(quads, equal_spacing, ccw) in;
 #include "bezier.glsl"
 
 patch in int tessellated_patch;
-uniform mat4 world_to_clip;
+uniform mat4 to_clip;
 
 out vec2 parameter;
 flat out int patch_number;
@@ -13,6 +13,6 @@ void main() {
     parameter = gl_TessCoord.xy;
     patch_number = tessellated_patch;
     // Undivided and homogeneous: the rasteriser then interpolates the parameters with perspective.
-    precise vec4 position = world_to_clip * patch_point(tessellated_patch, gl_TessCoord.x, gl_TessCoord.y);
+    precise vec4 position = to_clip * patch_point(tessellated_patch, gl_TessCoord.x, gl_TessCoord.y);
     gl_Position = position;
 }

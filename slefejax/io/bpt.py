@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from slefejax.errors import InputError
-
-HIGHEST_DEGREE = 64
+from slefejax.slefe import HIGHEST_DEGREE
 
 
 class _Numbers:
@@ -54,9 +53,11 @@ class _Numbers:
     def real(self, wanted: str) -> float:
         item = self.next(wanted)
         try:
-            value = float(item)
+            value = float(item) if "_" not in item else None
         except ValueError:
-            raise self.fail(f"{wanted} should be a number, not {item[:40]!r}") from None
+            value = None
+        if value is None:
+            raise self.fail(f"{wanted} should be a number, not {item[:40]!r}")
         if not np.isfinite(value):
             raise self.fail(f"{wanted} is not a finite number ({item[:40]})")
         return value
@@ -87,7 +88,7 @@ def _read_patch(numbers: _Numbers, index: int) -> np.ndarray:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_bytes().decode("utf-8")
+        return path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(f"{path} is not a text file: a .bpt file holds plain numbers") from None
     except FileNotFoundError:

@@ -1,0 +1,19 @@
+"""All commands, by the names that are typed."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from tyro.conf import subcommand
+
+from slefejax.experiments.doctor import Doctor
+from slefejax.experiments.factors import FactorsOfScene
+from slefejax.experiments.minimality import Minimality
+from slefejax.experiments.tightness import Tightness
+
+Command = (
+    Annotated[Minimality, subcommand("minimality")]
+    | Annotated[FactorsOfScene, subcommand("factors")]
+    | Annotated[Tightness, subcommand("tightness")]
+    | Annotated[Doctor, subcommand("doctor")]
+)
