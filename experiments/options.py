@@ -82,7 +82,7 @@ class PredictionOptions:
     """How factors are predicted."""
 
     method: str = "slefe"
-    """How factors are predicted: slefe, the papers' estimate."""
+    """How factors are predicted: slefe (the papers' estimate), filip, minmax, edge-length, screen-box or fixed."""
     segments: int = 3
     """Pieces m of a slefe in each direction."""
     tolerance: float = 0.5
@@ -91,6 +91,8 @@ class PredictionOptions:
     """Error in window depth (0 to 1) that is allowed; not looked at if not given."""
     k: float = 1.0
     """The constant k_m."""
+    setting: float | None = None
+    """Of edge-length: pixels a piece; of screen-box: mu, pixels; of fixed: the factor."""
 
     def arguments(self) -> dict:
         """Keyword arguments for tessellation_factors."""
@@ -100,6 +102,7 @@ class PredictionOptions:
             "tolerance": self.tolerance,
             "depth_tolerance": self.depth_tolerance,
             "k": self.k,
+            "setting": self.setting,
         }
 
 

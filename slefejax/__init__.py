@@ -9,9 +9,12 @@
 from slefejax.bspline import bspline_slefe, bspline_slefe_boxes
 from slefejax.errors import InputError, NoOpenGLError
 from slefejax.factors import Factors, tessellation_factors
+from slefejax.minimal import minimal_factors
 from slefejax.scene import Scene, load
 from slefejax.slefe import Slefe, SlefeTable, slefe, slefe_boxes, slefe_table
+from slefejax.supremum import sampled_error, worst_points
 from slefejax.tiles import slefe_tiles
+from slefejax.triangles import triangle_error
 from slefejax.view import Camera, View
 
 __all__ = [
@@ -26,9 +29,13 @@ __all__ = [
     "bspline_slefe",
     "bspline_slefe_boxes",
     "load",
+    "minimal_factors",
+    "sampled_error",
     "slefe",
     "slefe_boxes",
     "slefe_table",
     "slefe_tiles",
     "tessellation_factors",
+    "triangle_error",
+    "worst_points",
 ]

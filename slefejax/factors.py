@@ -18,10 +18,11 @@ from slefejax.arguments import Number, Patches, Segments, check_patches, check_p
 from slefejax.edges import edge_maxima, shared_edges
 from slefejax.errors import InputError
 from slefejax.estimate import Projection, slefe_factor
+from slefejax.rules import RULES, SETTINGS, on_screen
 from slefejax.tiles import check_weights
 from slefejax.view import View
 
-METHODS = ("slefe",)
+METHODS = ("slefe", *RULES)
 _LARGEST_LEVEL = 2**31
 
 
@@ -94,6 +95,7 @@ def tessellation_factors(
     tolerance: Number = 0.5,
     depth_tolerance: Number | None = None,
     k: Number = 1.0,
+    setting: Number | None = None,
     edge_numbers: Int[np.ndarray, "patches 4"] | None = None,
 ) -> Factors:
     """How finely each patch must be cut so that pixels are right to within ``tolerance``.
@@ -104,10 +106,14 @@ def tessellation_factors(
     method          : ``"slefe"``, the estimate of the papers: k m sqrt(w / tolerance), with w the width in pixels of
                       the slefe boxes on the screen (2012, eq 7 to 10; animation paper, eq 7). It is not a bound.
                       For rational patches w is the width of the slefe of X - s W over W (MATH.md, section 6).
-    segments        : m, or (m_u, m_v); static
+                      The rules of ``slefejax.rules``: ``"filip"`` (a bound), ``"minmax"``, ``"edge-length"``,
+                      ``"screen-box"``, ``"fixed"``
+    segments        : m, or (m_u, m_v); static; of ``slefe``
     tolerance       : pixels
-    depth_tolerance : window depth (0 to 1), or None for no depth test
-    k               : the constant k_m
+    depth_tolerance : window depth (0 to 1), or None for no depth test; of ``slefe``
+    k               : the constant k_m; of ``slefe``
+    setting         : of ``edge-length`` (pixels a piece), ``screen-box`` (mu, pixels), ``fixed`` (the factor);
+                      None: 8, 1, 16
     edge_numbers    : the result of ``shared_edges``, if it is already known
 
     Returns Factors: ``.factor`` (at least 1 on the screen, 0 off it), ``.inner`` and ``.edges``.
@@ -126,8 +132,7 @@ def tessellation_factors(
     """
     patches = check_patches(patches)
     check_weights(patches)
-    if method not in METHODS:
-        raise InputError(f"there is no method {method!r}: choose one of {', '.join(METHODS)}")
+    _check_method(method, patches.shape[3], depth_tolerance, setting)
     check_positive("tolerance", tolerance)
     check_positive("k", k)
     if depth_tolerance is not None:
@@ -136,9 +141,13 @@ def tessellation_factors(
         raise InputError(f"the view must be a slefejax.View (a camera and a picture size), not {type(view).__name__}")
     dtype = jax.dtypes.canonicalize_dtype(patches.dtype)
     projection = jax.tree.map(partial(jnp.asarray, dtype=dtype), Projection.of(view))
-    scales = [None if x is None else jnp.asarray(x, dtype) for x in (tolerance, depth_tolerance, k)]
     packed = jnp.asarray(layout.pack(patches))
-    chunks = _factors_jit(packed, projection, scales, segment_pair(segments))
+    if method == "slefe":
+        numbers: tuple[Any, ...] = (tolerance, depth_tolerance, k)
+    else:
+        numbers = (tolerance, SETTINGS.get(method) if setting is None else setting)
+    scales = [None if x is None else jnp.asarray(x, dtype) for x in numbers]
+    chunks = _factors_jit(packed, projection, scales, method, segment_pair(segments))
     factor = layout.unpack(chunks, len(patches))
     if isinstance(factor, Tracer):
         return Factors(factor, known=edge_numbers)
@@ -146,9 +155,32 @@ def tessellation_factors(
     return Factors(factor, patches, edge_numbers)
 
 
-@jax.jit(static_argnums=3)
-def _factors_jit(packed: Any, projection: Projection, scales: list, segments: tuple[int, int]) -> Any:
-    return layout.over_chunks(_unless_bad(partial(slefe_factor, segments=segments)), packed, projection, *scales)
+@jax.jit(static_argnums=(3, 4))
+def _factors_jit(packed: Any, projection: Projection, scales: list, method: str, segments: tuple[int, int]) -> Any:
+    kernel = partial(slefe_factor, segments=segments) if method == "slefe" else _seen(RULES[method])
+    return layout.over_chunks(_unless_bad(kernel), packed, projection, *scales)
+
+
+def _seen(rule: Callable[..., Any]) -> Callable[..., Any]:
+    """The rule with 0 for patches that are off the screen."""
+
+    def kernel(control: Any, projection: Projection, *arguments: Any) -> Any:
+        return jnp.where(on_screen(control, projection), rule(control, projection, *arguments), 0.0)
+
+    return kernel
+
+
+def _check_method(method: str, dimension: int, depth_tolerance: Any, setting: Any) -> None:
+    if method not in METHODS:
+        raise InputError(f"there is no method {method!r}: choose one of {', '.join(METHODS)}")
+    if method == "filip" and dimension == 4:
+        raise InputError("method 'filip' bounds polynomial patches, (patches, du+1, dv+1, 3): these are rational")
+    if depth_tolerance is not None and method != "slefe":
+        raise InputError(f"method {method!r} knows no depth_tolerance")
+    if setting is not None:
+        if method not in SETTINGS:
+            raise InputError(f"method {method!r} has no setting: {', '.join(SETTINGS)} have one")
+        check_positive("setting", setting)
 
 
 def _unless_bad(kernel: Callable[..., Any]) -> Callable[..., Any]:

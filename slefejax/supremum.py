@@ -1,15 +1,15 @@
 """The error over the whole domain, not only at pixels: the supremum of MATH.md, section 4.
 
 The pixel of a triangle at parameters (u, v) is P(L(u, v)), with L the linear interpolant of the triangle's undivided
-homogeneous vertices, and the surface point of the same parameters is seen at P(p(u, v)). The error there is the larger
-of their distances in x and in y. (u, v) counts only where the drawn point lies in the view volume; where the exact point
-is not in front of the camera (W <= 0) the error is infinite.
+homogeneous vertices, and the surface point of the same parameters is seen at P(p(u, v)). The error there is the
+larger of their distances in x and in y. (u, v) counts only where the drawn point lies in the view volume; where the
+exact point is not in front of the camera (W <= 0) the error is infinite.
 
-How the supremum is known to 1 %: f = p - L is nearly quadratic on a triangle of a fine mesh, with largest value about 1/8 of
-its second derivatives' bound; at a lattice of spacing 1/q (edges, corners and midpoints among its points) the largest sample
-misses at most (1/q)^2 of that: 1 % for q = 10. Coarse meshes, where f is not quadratic, are sampled as if they were finer
-(``_FINEST``). Then the samples are zoomed into around the largest ones of each patch, until what is left is far below.
-The supremum is always approached from below.
+How the supremum is known to 1 %: f = p - L is nearly quadratic on a triangle of a fine mesh, with largest value about
+1/8 of its second derivatives' bound; at a lattice of spacing 1/q (edges, corners and midpoints among its points) the
+largest sample misses at most (1/q)^2 of that: 1 % for q = 10. Coarse meshes, where f is not quadratic, are sampled as
+if they were finer (``_FINEST``). Then the samples are zoomed into around the largest ones of each patch, until what
+is left is far below. The supremum is always approached from below.
 
 Everything is float64, in batches of bounded size, whatever the factors.
 """
@@ -33,6 +33,7 @@ _LATTICE = 10  # q: intervals of the samples' lattice along each side
 _FINEST = 60  # samples along each side of a patch, at least
 _KEPT = 4  # windows of a patch that are zoomed into
 _ZOOMS = 3
+_UNSEEN = -1.0
 _BATCH = 2**16  # windows in memory at once
 
 Cells = Float[np.ndarray, "cells 4"]
@@ -48,7 +49,7 @@ class Supremum(NamedTuple):
 
 
 def sampled_error(patches: Patches, factors: Any, view: View) -> Float[np.ndarray, "patches"]:
-    """The largest error of every patch in pixels, cut uniformly, over its visible domain and both diagonals of each cell.
+    """The largest error of every patch in pixels, cut uniformly, over its visible domain and both diagonals of a cell.
 
     patches : control points ``(patches, du+1, dv+1, 3)``, or 4 at the end if rational
     factors : whole numbers ``(patches,)``, or ``(patches, 2)`` along u and v, or a ``Factors``; 0: not drawn, error 0
@@ -70,9 +71,7 @@ def worst_points(patches: Patches, factors: Any, view: View) -> Supremum:
     patches = check_patches(patches)
     levels = level_pairs(factors, len(patches))
     surface = Surface.of(patches, view)
-    parts = [
-        _worst_of(surface, chosen, levels[chosen]) for chosen in _blocks(_window_counts(levels)) if chosen.size
-    ]
+    parts = [_worst_of(surface, chosen, levels[chosen]) for chosen in _blocks(_window_counts(levels)) if chosen.size]
     result = Supremum(np.zeros(len(patches)), *(np.full(len(patches), np.nan) for _ in range(2)))
     for chosen, part in parts:
         for whole, own in zip(result, part, strict=True):
@@ -106,7 +105,7 @@ class Surface(NamedTuple):
 def cell_errors(
     surface: Surface, patch: Int[np.ndarray, "windows"], cells: Cells, windows: Windows
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Largest sampled error in a window of a cell, over both diagonals, and where: (error, a, b).
+    """Largest sampled error in a window of a cell, over both diagonals, and where: (error, a, b); -1: nothing is seen.
 
     cells   : u0, u1, v0, v1 of the cell whose corners are drawn
     windows : a0, b0 and side of the part that is sampled, in the cell's own coordinates 0 ... 1
@@ -137,7 +136,7 @@ def _cell_kernel(lanes: Any, control: Any, size: Any) -> Any:
     falling = jnp.where(
         a + b <= 1, p00 + a * (p10 - p00) + b * (p01 - p00), p11 + (1 - a) * (p01 - p11) + (1 - b) * (p10 - p11)
     )
-    error = jnp.maximum(_distance(exact, rising, size), _distance(exact, falling, size))
+    error = jnp.maximum(distance(exact, rising, size), distance(exact, falling, size))
     flat = error.reshape(-1, error.shape[-1])
     at = jnp.argmax(flat, axis=0)
     place = jnp.stack([at // (_LATTICE + 1), at % (_LATTICE + 1)]) / _LATTICE
@@ -145,18 +144,18 @@ def _cell_kernel(lanes: Any, control: Any, size: Any) -> Any:
 
 
 def _tensor(control: Any, u: Any, v: Any) -> Any:
-    """Points ``(4, us, vs, lanes)`` of patches ``(nu, nv, 4, lanes)`` at all pairs of ``(us, lanes)`` and ``(vs, lanes)``."""
+    """Points ``(4, us, vs, lanes)`` of patches ``(nu, nv, 4, lanes)``, u ``(us, lanes)`` with v ``(vs, lanes)``."""
     rows = combine(control[:, :, :, None], bernstein(control.shape[0] - 1, u))
     return combine(rows[:, :, :, None], bernstein(control.shape[1] - 1, v[None]))
 
 
-def _distance(exact: Any, drawn: Any, size: Any) -> Any:
-    """Of undivided screen points ``(4, ...)``: max(|dx|, |dy|) in pixels; 0 where the drawn one is not visible."""
+def distance(exact: Any, drawn: Any, size: Any) -> Any:
+    """Of undivided screen points ``(4, ...)``: max(|dx|, |dy|) in pixels; -1 where the drawn one is not visible."""
     x, y, z, w = drawn
     visible = (w > 0) & (x >= 0) & (x <= size[0] * w) & (y >= 0) & (y <= size[1] * w) & (z >= 0) & (z <= w)
     w, true_w = jnp.where(visible, w, 1.0), jnp.where(exact[3] > 0, exact[3], 1.0)
     far = jnp.maximum(jnp.abs(exact[0] / true_w - x / w), jnp.abs(exact[1] / true_w - y / w))
-    return jnp.where(visible, jnp.where(exact[3] > 0, far, jnp.inf), 0.0)
+    return jnp.where(visible, jnp.where(exact[3] > 0, far, jnp.inf), _UNSEEN)
 
 
 def _window_counts(levels: np.ndarray) -> np.ndarray:
@@ -206,8 +205,8 @@ def _worst_of(surface: Surface, chosen: np.ndarray, levels: np.ndarray) -> tuple
     first = largest_of_each(patch, error, 1)
     u = cells[first, 0] + a[first] * (cells[first, 1] - cells[first, 0])
     v = cells[first, 2] + b[first] * (cells[first, 3] - cells[first, 2])
-    seen = error[first] > 0
-    return chosen, Supremum(error[first], np.where(seen, u, np.nan), np.where(seen, v, np.nan))
+    seen = error[first] >= 0
+    return chosen, Supremum(np.maximum(error[first], 0.0), np.where(seen, u, np.nan), np.where(seen, v, np.nan))
 
 
 def _in_batches(surface: Surface, patch: np.ndarray, cells: Cells, windows: Windows) -> tuple[np.ndarray, ...]:

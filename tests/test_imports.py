@@ -15,8 +15,21 @@ ROOT = Path(__file__).resolve().parents[1]
 LAYERS = [
     {"errors"},
     {"bezier", "view", "layout", "edges", "tessellator", "slefe_tables", "arguments"},
-    {"slefe", "bspline", "tiles", "optimum", "rivals", "estimate", "error", "io", "data"},
-    {"factors"},
+    {
+        "slefe",
+        "bspline",
+        "tiles",
+        "optimum",
+        "rivals",
+        "estimate",
+        "rules",
+        "supremum",
+        "triangles",
+        "error",
+        "io",
+        "data",
+    },
+    {"factors", "minimal"},
     {"scene", "testing"},
 ]
 ANALYSIS = set().union(*LAYERS)

@@ -1,0 +1,115 @@
+"""Other rules for tessellation factors, to compare with. Kernels run with the patches last (``slefejax.layout``).
+
+filip        the second-derivative bound of Filip, Magedson & Markot 1986, made sound on the screen (``filip``)
+minmax       the control net's extent on the screen over the tolerance: pieces whose box is as small as the tolerance
+edge-length  no edge's control polygon longer than ``setting`` pixels a piece (8: Fisher et al. 2009; no bound)
+screen-box   the longer side of the box around the projection over mu = ``setting`` pixels (2012, section 7; no bound)
+fixed        ``setting`` pieces for every patch that is on the screen
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from slefejax.estimate import Projection, tiles_on_screen
+from slefejax.slefe import enclose_patch
+
+Control = Float[Array, "nu nv dim lanes"]
+_BOX_SEGMENTS = (3, 3)  # of the slefe whose boxes hold the projection
+
+
+def filip(control: Control, projection: Projection, tolerance: Any, setting: Any) -> Any:
+    """The factor at which the published bound keeps the tolerance: sound wherever all control points have W > 0.
+
+    Cut into n x n cells, |p - L| <= (M_uu + 2 M_uv + M_vv) / (8 n^2) in space, with M the longest coefficient vectors
+    of the second derivatives. For two points of which the drawn one has the screen coordinate s = X'/W', X/W - s is
+    ((X - X') - s (W - W'))/W: at most (|row_X| + |s| |row_W|) |p - L| / W, with the gradients of X and W, |s| at most
+    half the picture, and W at least the smallest of the control points' (the near plane's, if some lie nearer).
+    """
+    du, dv = control.shape[0] - 1, control.shape[1] - 1
+    by_u, by_v = jnp.diff(control, axis=0), jnp.diff(control, axis=1)
+    reach = 2.0 * du * dv * _longest(jnp.diff(by_u, axis=1))
+    for first, d in ((jnp.diff(by_u, axis=0), du), (jnp.diff(by_v, axis=1), dv)):
+        reach = reach + (d * (d - 1) * _longest(first) if d > 1 else 0.0)
+    rows = projection.to_pixels
+    half = _half_picture(projection)
+    steepness = [_norm(rows[r, :3]) + half[r] * _norm(rows[3, :3]) for r in (0, 1)]
+    w = jnp.min(_undivided(control, projection)[3], axis=(0, 1))
+    pixels = jnp.maximum(*steepness) / jnp.maximum(w, projection.near_w) * reach / 8.0
+    return jnp.sqrt(jnp.maximum(pixels / tolerance, 1.0))
+
+
+def minmax(control: Control, projection: Projection, tolerance: Any, setting: Any) -> Any:
+    """The longer side of the box around the projected control points, over the tolerance."""
+    x, y = _projected(control, projection)
+    return jnp.maximum(_extent(x, y) / tolerance, 1.0)
+
+
+def edge_length(control: Control, projection: Projection, tolerance: Any, setting: Any) -> Any:
+    """The length on the screen of the longest edge's control polygon, over ``setting`` pixels."""
+    x, y = _projected(control, projection)
+    edges = [(x[0], y[0]), (x[-1], y[-1]), (x[:, 0], y[:, 0]), (x[:, -1], y[:, -1])]
+    lengths = [jnp.sum(jnp.hypot(jnp.diff(a, axis=0), jnp.diff(b, axis=0)), axis=0) for a, b in edges]
+    return jnp.maximum(jnp.max(jnp.stack(lengths), axis=0) / setting, 1.0)
+
+
+def screen_box(control: Control, projection: Projection, tolerance: Any, setting: Any) -> Any:
+    """The longer side of the box around the projection (of the slefe's boxes), over mu = ``setting`` pixels."""
+    lower, upper = enclose_patch(control, _BOX_SEGMENTS)
+    pairs = [_projected(bound, projection) for bound in (lower, upper)]
+    x, y = (jnp.concatenate([pair[axis] for pair in pairs]) for axis in (0, 1))
+    return jnp.maximum(_extent(x, y) / setting, 1.0)
+
+
+def fixed(control: Control, projection: Projection, tolerance: Any, setting: Any) -> Any:
+    """``setting`` everywhere."""
+    return jnp.full(control.shape[-1], setting, control.dtype)
+
+
+RULES = {"filip": filip, "minmax": minmax, "edge-length": edge_length, "screen-box": screen_box, "fixed": fixed}
+SETTINGS = {"edge-length": 8.0, "screen-box": 1.0, "fixed": 16.0}  # what ``setting`` is if it is not given
+
+
+def on_screen(control: Control, projection: Projection) -> Any:
+    """Whether the box around the control points reaches into the view volume."""
+    low, high = jnp.min(control, axis=(0, 1)), jnp.max(control, axis=(0, 1))
+    low, high = (jnp.broadcast_to(bound, (2, 2, *bound.shape)) for bound in (low, high))
+    return tiles_on_screen(low, high, projection.frustum)[0, 0]
+
+
+def _undivided(control: Control, projection: Projection) -> list[Any]:
+    """X, Y, Z, W of the control points, in undivided pixels from the picture's centre."""
+    parts = range(control.shape[2])
+    last = 0.0 if len(parts) == 4 else 1.0
+    return [sum(row[a] * control[:, :, a] for a in parts) + last * row[3] for row in projection.to_pixels]
+
+
+def _projected(control: Control, projection: Projection) -> tuple[Any, Any]:
+    x, y, _, w = _undivided(control, projection)
+    w = jnp.maximum(w, projection.near_w)
+    return x / w, y / w
+
+
+def _extent(x: Any, y: Any) -> Any:
+    sides = [jnp.max(t, axis=(0, 1)) - jnp.min(t, axis=(0, 1)) for t in (x, y)]
+    return jnp.maximum(sides[0], sides[1])
+
+
+def _longest(vectors: Any) -> Any:
+    """Length of the longest of vectors ``(i, j, 3, lanes)``."""
+    return jnp.sqrt(jnp.max(jnp.sum(vectors**2, axis=2), axis=(0, 1)))
+
+
+def _norm(vector: Any) -> Any:
+    return jnp.sqrt(jnp.sum(vector**2))
+
+
+def _half_picture(projection: Projection) -> tuple[Any, Any]:
+    """Half the width and height in pixels: the right plane is the left one's X reflected in it."""
+    left, right, bottom, top = projection.frustum[:4]
+    w = projection.to_pixels[3]
+    at = jnp.argmax(jnp.abs(w))
+    return 0.5 * ((left + right)[at] / w[at]), 0.5 * ((bottom + top)[at] / w[at])
