@@ -7,6 +7,7 @@ from typing import Annotated
 from tyro.conf import subcommand
 
 from slefejax.experiments.doctor import Doctor
+from slefejax.experiments.error_time import ErrorTime
 from slefejax.experiments.factors import FactorsOfScene
 from slefejax.experiments.minimality import Minimality
 from slefejax.experiments.tightness import Tightness
@@ -14,6 +15,7 @@ from slefejax.experiments.tightness import Tightness
 Command = (
     Annotated[Minimality, subcommand("minimality")]
     | Annotated[FactorsOfScene, subcommand("factors")]
+    | Annotated[ErrorTime, subcommand("error-time")]
     | Annotated[Tightness, subcommand("tightness")]
     | Annotated[Doctor, subcommand("doctor")]
 )

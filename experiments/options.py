@@ -10,7 +10,7 @@ import numpy as np
 
 from slefejax.errors import InputError
 from slefejax.scene import Scene
-from slefejax.view import Camera, View, bounding_sphere
+from slefejax.view import Camera, View, bounding_sphere, frame
 
 Three = tuple[float, float, float]
 
@@ -123,3 +123,23 @@ def check_scales(scales: tuple[float, ...]) -> None:
         raise InputError(f"--scales must be positive numbers, not {bad[0]}")
     if len(set(scales)) < len(scales):
         raise InputError("--scales names a number twice")
+
+
+def check_count(name: str, value: int) -> None:
+    """Raise InputError unless the number is at least 1."""
+    if value < 1:
+        raise InputError(f"{name} must be at least 1, not {value}")
+
+
+def cameras_around(scene: Scene, width: int, height: int, count: int, seed: int) -> list[View]:
+    """The scene's own view, and others that hold all of it, spread over a sphere around it; the same for one seed."""
+    rng = np.random.default_rng(seed)
+    turn = rng.uniform(0.0, 2.0 * np.pi)
+    golden = np.pi * (3.0 - np.sqrt(5.0))
+    views = [ViewOptions(size=f"{width}x{height}").view(scene)]
+    for k in range(1, count):
+        z = 0.95 * (1.0 - 2.0 * (k - rng.uniform()) / max(1, count - 1))
+        angle, r = turn + golden * k, np.sqrt(1.0 - z * z)
+        camera = frame(scene.points(), (r * np.cos(angle), r * np.sin(angle), z), aspect=width / height)
+        views.append(View(camera, width, height))
+    return views

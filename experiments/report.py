@@ -29,6 +29,10 @@ HEADINGS = {
     "width_over_optimum_median": "width/optimum",
     "width_over_optimum_p95": "95 %",
     "width_over_optimum_max": "largest",
+    "sup_error_px": "sup px",
+    "drawn_sup_error_px": "drawn sup px",
+    "factor_over_minimal_median": "over minimal",
+    "capped_patches": "capped",
     "us_per_curve": "µs a curve",
 }
 Row = dict[str, Any]

@@ -27,6 +27,10 @@ METHOD_STYLES: dict[str, dict[str, Any]] = {
     "min-max": {"color": "#cc79a7", "marker": "v"},
     "control-polygon": {"color": "#000000", "marker": "P"},
     "disc": {"color": "#e69f00", "marker": "X"},
+    "edge-length": {"color": "#e69f00", "marker": "X"},
+    "screen-box": {"color": "#cc79a7", "marker": "v"},
+    "fixed": {"color": "#000000", "marker": "P"},
+    "minmax": {"color": "#cc79a7", "marker": "v"},
 }
 
 SETTINGS: dict[Any, Any] = {

@@ -1,0 +1,227 @@
+"""Error against run time: every rule for tessellation factors on the same scenes and cameras."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+import tyro
+
+from slefejax import Factors, Scene, View, load, minimal_factors, sampled_error, tessellation_factors, triangle_error
+from slefejax.error import pixel_error
+from slefejax.errors import InputError
+from slefejax.experiments.minimality import error_shares
+from slefejax.experiments.options import OutputOptions, cameras_around, check_count, parse_size
+from slefejax.experiments.report import Report, progress
+from slefejax.experiments.store import Row, Run, digest
+from slefejax.figures.error_image import write_error_image
+from slefejax.figures.error_time import write_error_against_time, write_pixels_against_triangles, write_triangle_sizes
+from slefejax.figures.side_by_side import write_side_by_side
+from slefejax.gpu import Renderer, Triangles, open_device
+from slefejax.tessellator import HIGHEST_LEVEL, triangle_counts
+
+AREAS = (0.5, 5.0, 10.0, 20.0)  # square pixels; the classes of the papers
+
+
+@dataclass(frozen=True)
+class Method:
+    """A rule with its numbers; the name is the one that figures show."""
+
+    method: str
+    segments: int = 3
+    setting: float | None = None
+
+    @property
+    def name(self) -> str:
+        """Such as ``slefe m=3`` or ``screen-box 8``."""
+        if self.method == "slefe":
+            return f"slefe m={self.segments}"
+        return self.method if self.setting is None else f"{self.method} {self.setting:g}"
+
+
+METHODS = (
+    *(Method("slefe", segments) for segments in range(1, 7)),
+    Method("filip"),
+    Method("edge-length", setting=8.0),
+    *(Method("screen-box", setting=mu) for mu in (1.0, 2.0, 4.0, 8.0)),
+    Method("fixed", setting=16.0),
+)
+PICTURES = ("slefe m=3", "filip", "edge-length 8", "screen-box 1", "screen-box 8", "fixed 16")
+
+
+@dataclass(frozen=True)
+class ErrorTime:
+    """For every rule: its error at pixels and over the domain, its triangles and run time, and how far from minimal."""
+
+    scenes: tyro.conf.Positional[tuple[str, ...]]
+    """Files (.bpt), or teapot."""
+    cameras: int = 1
+    """Cameras: the scene's own, and others on a sphere around it."""
+    seed: int = 1
+    """Seed of the other cameras."""
+    size: str = "1440x900"
+    """Width x height of the picture in pixels."""
+    tolerance: float = 0.5
+    """Error in pixels that is allowed."""
+    repeats: int = 5
+    """Runs of each rule whose median is the time; all rules take turns."""
+    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def run(self) -> Report:
+        """Measure every view, tabulate, draw."""
+        check_count("--cameras", self.cameras)
+        check_count("--repeats", self.repeats)
+        if not self.scenes:
+            raise InputError("name at least one scene: a file, or teapot")
+        scenes = [load(name) for name in self.scenes]
+        device = open_device()
+        inputs = {"scenes": [digest(s.patches().tobytes()) for s in scenes], "opengl": device.renderer}
+        views = {
+            f"{index} {scene.name} {number}": (scene, view)
+            for index, scene in enumerate(scenes)
+            for number, view in enumerate(cameras_around(scene, *parse_size(self.size), self.cameras, self.seed))
+        }
+        with Run("error-time", {**asdict(self), "output": None}, self.output.out, inputs) as run:
+
+            def measure(key: str) -> Row:
+                scene, view = views[key]
+                return {"rows": _View(scene, view, self, run if key == next(iter(views)) else None).rows(key)}
+
+            with progress("measuring", len(views)) as show:
+                found = run.each("view", list(views), measure, show)
+            rows = [row for view in found for row in view["rows"]]
+            write_error_against_time(run.file("error_against_time.png"), rows, self.tolerance)
+            write_pixels_against_triangles(run.file("pixels_against_triangles.png"), rows, self.tolerance)
+            write_triangle_sizes(run.file("triangle_sizes.png"), rows, AREAS)
+            first = {row["method_name"]: row for row in found[0]["rows"]}
+            panels = [(first[name], run.file(picture_name(name))) for name in PICTURES]
+            write_side_by_side(run.file("side_by_side.png"), panels)
+            names = " ".join(scene.name for scene in scenes)
+            out = run.finish(rows, {"scene": names, "opengl": {"renderer": device.renderer, "version": device.version}})
+        title = f"{names}: rules for tessellation factors at {self.tolerance:g} px, {len(views)} views of {self.size}"
+        return Report(names, out, summary(rows), title, extra={"table": rows}, as_json=self.output.json)
+
+
+def picture_name(method: str) -> str:
+    """File name of the error image of a rule."""
+    return f"error_{method.replace(' ', '_').replace('=', '')}.png"
+
+
+class _View:
+    """All rules on one scene from one camera."""
+
+    def __init__(self, scene: Scene, view: View, options: ErrorTime, run: Run | None) -> None:
+        self.scene, self.view, self.options, self.run = scene, view, options, run
+        self.patches = scene.patches()
+        self.renderer = Renderer(self.patches)
+        self.minimal = minimal_factors(self.patches, view, options.tolerance)
+
+    def rows(self, key: str) -> list[Row]:
+        """A row for every rule; run times of rules that take turns."""
+        compile_ms = {m.name: self._first_call(m) for m in METHODS}
+        predicted = {m.name: self._predict(m) for m in METHODS}
+        levels = {name: capped(factors) for name, factors in predicted.items()}
+        for inner, outer, _ in levels.values():
+            self.renderer.submit(self.view, inner, outer)
+        times: dict[str, list[tuple[float, float]]] = {m.name: [] for m in METHODS}
+        for _ in range(self.options.repeats):
+            for m in METHODS:
+                times[m.name].append(self._timed(m, *levels[m.name][:2]))
+        _, scene, camera = key.rsplit(maxsplit=2) if key.count(" ") == 2 else ("", key, "0")
+        rows = []
+        for m in METHODS:
+            predict, render = (1e3 * np.array(t) for t in zip(*times[m.name], strict=True))
+            rows.append(
+                {
+                    "scene": scene,
+                    "camera": int(camera),
+                    "method_name": m.name,
+                    "method": m.method,
+                    "segments": m.segments,
+                    **self._errors(m, predicted[m.name], *levels[m.name]),
+                    "compile_ms": compile_ms[m.name],
+                    "predict_ms": float(np.median(predict)),
+                    "predict_spread_ms": float(np.ptp(predict)),
+                    "render_ms": float(np.median(render)),
+                    "render_spread_ms": float(np.ptp(render)),
+                }
+            )
+        self.renderer.release()
+        return rows
+
+    def _predict(self, m: Method) -> Factors:
+        options: dict[str, Any] = {"segments": m.segments, "tolerance": self.options.tolerance, "setting": m.setting}
+        return tessellation_factors(self.patches, self.view, m.method, edge_numbers=self.scene.edge_numbers, **options)
+
+    def _first_call(self, m: Method) -> float:
+        start = time.perf_counter()
+        self._predict(m)
+        first = time.perf_counter() - start
+        start = time.perf_counter()
+        self._predict(m)
+        return 1e3 * max(0.0, first - (time.perf_counter() - start))
+
+    def _timed(self, m: Method, inner: np.ndarray, outer: np.ndarray) -> tuple[float, float]:
+        start = time.perf_counter()
+        self._predict(m)
+        middle = time.perf_counter()
+        self.renderer.submit(self.view, inner, outer)
+        return middle - start, time.perf_counter() - middle
+
+    def _errors(self, m: Method, factors: Factors, inner: np.ndarray, outer: np.ndarray, beyond: int) -> Row:
+        seen = self.renderer.draw(self.view, inner, outer)
+        error = pixel_error(self.patches, self.view, seen.u, seen.v, seen.patch)
+        if self.run is not None and m.name in PICTURES:
+            write_error_image(self.run.file(picture_name(m.name)), error)
+        triangles = self.renderer.capture(self.view, inner, outer)
+        there = self.minimal > 0
+        ratio = factors.levels[there] / self.minimal[there]
+        return {
+            "patches": len(self.patches),
+            "capped_patches": beyond,
+            "triangles": int(triangle_counts(inner, outer).sum()),
+            "minimal_triangles": int(2 * np.sum(self.minimal**2)),
+            **error_shares(error),
+            "sup_error_px": float(sampled_error(self.patches, inner, self.view).max()),
+            "drawn_sup_error_px": float(triangle_error(self.patches, triangles, self.view).max()),
+            "factor_over_minimal_median": float(np.median(ratio)),
+            "factor_over_minimal_p95": float(np.quantile(ratio, 0.95)),
+            **area_shares(triangles, self.view),
+        }
+
+
+def capped(factors: Factors) -> tuple[np.ndarray, np.ndarray, int]:
+    """Inner and outer levels cut off at the hardware's limit, and the number of patches that this concerns."""
+    beyond = int(np.count_nonzero(factors.levels > HIGHEST_LEVEL))
+    return np.minimum(factors.inner, HIGHEST_LEVEL), np.minimum(factors.edges, HIGHEST_LEVEL), beyond
+
+
+def area_shares(triangles: Triangles, view: View) -> Row:
+    """Shares of the triangles in front of the camera whose area on the screen is below each of ``AREAS``."""
+    clip = triangles.clip.astype(np.float64)
+    clip = clip[np.all(clip[..., 3] > 0, axis=1)]
+    corners = clip[..., :2] / clip[..., 3:] * np.array([view.width / 2, view.height / 2])
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    return {f"share_area_below_{limit:g}": float(np.mean(area < limit)) if len(area) else 0.0 for limit in AREAS}
+
+
+def summary(rows: list[Row]) -> list[Row]:
+    """A row a rule: medians over all views, and the worst errors."""
+    names = list(dict.fromkeys(row["method_name"] for row in rows))
+    medians = ("triangles", "share_above_0.5", "factor_over_minimal_median", "predict_ms", "render_ms")
+    worst = ("sup_error_px", "drawn_sup_error_px", "max_error_px")
+    found = []
+    for name in names:
+        own = [row for row in rows if row["method_name"] == name]
+        found.append(
+            {
+                "method": name,
+                **{key: float(np.median([row[key] for row in own])) for key in medians},
+                **{key: float(max(row[key] for row in own)) for key in worst},
+                "capped_patches": sum(row["capped_patches"] for row in own),
+            }
+        )
+    return found

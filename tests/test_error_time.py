@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+import json
+import os
+
+import numpy as np
+import pytest
+
+from slefejax import Camera, View
+from slefejax.experiments import error_time
+from slefejax.experiments.cli import main
+from slefejax.experiments.options import cameras_around
+from slefejax.gpu import Triangles
+
+
+@pytest.fixture(autouse=True)
+def in_an_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.gl
+def test_run(device, capsys, monkeypatch):
+    few = [m for m in error_time.METHODS if m.name in ("slefe m=3", "filip", "screen-box 8", "fixed 16")]
+    monkeypatch.setattr(error_time, "METHODS", few)
+    monkeypatch.setattr(error_time, "PICTURES", tuple(m.name for m in few))
+    command = ["error-time", "teapot", "--size", "240x150", "--cameras", "2", "--repeats", "2", "--json"]
+    assert main(command) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert [row["method"] for row in result["rows"]] == ["slefe m=3", "filip", "screen-box 8", "fixed 16"]
+    assert len(result["table"]) == 8
+    for row in result["table"]:
+        assert 0 <= row["share_above_1"] <= row["share_above_0.5"] <= row["share_above_0.1"] <= 1
+        assert row["share_area_below_0.5"] <= row["share_area_below_20"] <= 1
+        # pixels see less than the whole domain; edges that share levels see more
+        assert row["max_error_px"] <= row["drawn_sup_error_px"] + 0.01
+        assert row["predict_ms"] > 0
+        assert row["render_ms"] > 0
+        if row["method"] == "filip":
+            assert row["sup_error_px"] <= 0.5
+            assert row["factor_over_minimal_median"] >= 1
+    pictures = {"error_against_time.png", "pixels_against_triangles.png", "triangle_sizes.png", "side_by_side.png"}
+    assert pictures | {"table.csv", "run.json", "error_filip.png"} <= set(os.listdir(result["out"]))
+
+
+def test_cameras_are_reproducible_and_hold_the_scene(teapot):
+    views = cameras_around(teapot, 160, 100, 12, seed=3)
+    again = cameras_around(teapot, 160, 100, 12, seed=3)
+    other = cameras_around(teapot, 160, 100, 12, seed=4)
+    assert np.array_equal(views[0].camera.eye, (4.5, -6.0, 4.0))
+    assert all(np.array_equal(a.camera.eye, b.camera.eye) for a, b in zip(views, again, strict=True))
+    assert not np.array_equal(views[1].camera.eye, other[1].camera.eye)
+    points = np.column_stack([teapot.points(), np.ones(len(teapot.points()))])
+    for view in views[1:]:
+        x, y, z, w = view.world_to_screen @ points.T
+        assert np.all((w > 0) & (x >= 0) & (x <= 160 * w) & (y >= 0) & (y <= 100 * w) & (z >= 0) & (z <= w))
+
+
+def test_areas_of_triangles_by_hand():
+    """Halves of squares of 1, 4 and 30 px side, one behind the camera."""
+    view = View(Camera.orthographic((0, 0, 5), (0, 0, 0), up=(0, 1, 0), height=100.0), 100, 100)
+    clip = np.zeros((4, 3, 4))
+    for k, side in enumerate((0.9, 4.0, 30.0, 4.0)):
+        clip[k] = [[0, 0, 0, 1], [side / 50, 0, 0, 1], [0, side / 50, 0, 1]]
+    clip[3, 0, 3] = -1.0
+    shares = error_time.area_shares(Triangles(np.zeros(4, int), np.zeros((4, 3, 2)), clip), view)
+    assert list(shares.values()) == pytest.approx([1 / 3, 1 / 3, 2 / 3, 2 / 3])
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["teapot", "--cameras", "0"], ["teapot", "--repeats", "0"], ["no.bpt"], ["teapot", "--tolerance", "-1"]],
+)
+def test_bad_input(capsys, tmp_path, arguments):
+    assert main(["error-time", *arguments]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not (tmp_path / "runs").exists()
