@@ -10,12 +10,14 @@ from slefejax.experiments.doctor import Doctor
 from slefejax.experiments.error_time import ErrorTime
 from slefejax.experiments.factors import FactorsOfScene
 from slefejax.experiments.minimality import Minimality
+from slefejax.experiments.scaling import Scaling
 from slefejax.experiments.tightness import Tightness
 
 Command = (
     Annotated[Minimality, subcommand("minimality")]
     | Annotated[FactorsOfScene, subcommand("factors")]
     | Annotated[ErrorTime, subcommand("error-time")]
+    | Annotated[Scaling, subcommand("scaling")]
     | Annotated[Tightness, subcommand("tightness")]
     | Annotated[Doctor, subcommand("doctor")]
 )

@@ -106,10 +106,10 @@ def _heading(name: str) -> str:
 
 
 def _shown(name: str, value: Any) -> str:
-    if name.startswith("share_"):
+    if "share" in name:
         return f"{100 * value:.2f} %"
     if isinstance(value, float):
-        return f"{value:.9g}" if name == "scale" else f"{value:.3f}"
+        return f"{value:.9g}" if name == "scale" else f"{value:.4g}" if "us" in name.split("_") else f"{value:.3f}"
     if isinstance(value, int) and not isinstance(value, bool):
         return f"{value:,}"
     return escape(str(value))
