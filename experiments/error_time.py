@@ -10,6 +10,7 @@ import numpy as np
 import tyro
 
 from slefejax import Factors, Scene, View, load, minimal_factors, sampled_error, tessellation_factors, triangle_error
+from slefejax.covering import covering_error
 from slefejax.error import pixel_error
 from slefejax.errors import InputError
 from slefejax.experiments.minimality import error_shares
@@ -19,7 +20,7 @@ from slefejax.experiments.store import Row, Run, digest
 from slefejax.figures.error_image import write_error_image
 from slefejax.figures.error_time import write_error_against_time, write_pixels_against_triangles, write_triangle_sizes
 from slefejax.figures.side_by_side import write_side_by_side
-from slefejax.gpu import Renderer, Triangles, open_device
+from slefejax.gpu import GBuffer, Renderer, Triangles, open_device
 from slefejax.tessellator import HIGHEST_LEVEL, triangle_counts
 
 AREAS = (0.5, 5.0, 10.0, 20.0)  # square pixels; the classes of the papers
@@ -117,6 +118,7 @@ class _View:
         self.patches = scene.patches()
         self.renderer = Renderer(self.patches)
         self.minimal = minimal_factors(self.patches, view, options.tolerance)
+        self.reference = self._finest(View(view.camera, 2 * view.width, 2 * view.height))
 
     def rows(self, key: str) -> list[Row]:
         """A row for every rule; run times of rules that take turns."""
@@ -151,6 +153,11 @@ class _View:
         self.renderer.release()
         return rows
 
+    def _finest(self, view: View) -> GBuffer:
+        """Four samples a pixel of the scene cut as finely as it can be."""
+        levels = np.where(self.minimal[:, None] > 0, HIGHEST_LEVEL, np.zeros(6, int))
+        return self.renderer.draw(view, levels[:, :2], levels[:, 2:])
+
     def _predict(self, m: Method) -> Factors:
         options: dict[str, Any] = {"segments": m.segments, "tolerance": self.options.tolerance, "setting": m.setting}
         return tessellation_factors(self.patches, self.view, m.method, edge_numbers=self.scene.edge_numbers, **options)
@@ -178,16 +185,20 @@ class _View:
         triangles = self.renderer.capture(self.view, inner, outer)
         there = self.minimal > 0
         ratio = factors.levels[there] / self.minimal[there]
+        uniform = sampled_error(self.patches, inner, self.view)
+        drawn = triangle_error(self.patches, triangles, self.view)
         return {
             "patches": len(self.patches),
             "capped_patches": beyond,
             "triangles": int(triangle_counts(inner, outer).sum()),
             "minimal_triangles": int(2 * np.sum(self.minimal**2)),
             **error_shares(error),
-            "sup_error_px": float(sampled_error(self.patches, inner, self.view).max()),
-            "drawn_sup_error_px": float(triangle_error(self.patches, triangles, self.view).max()),
+            "sup_error_px": float(uniform.max()),
+            "drawn_sup_error_px": float(drawn.max()),
+            **ring_effect(uniform[there], drawn[there], self.options.tolerance),
             "factor_over_minimal_median": float(np.median(ratio)),
             "factor_over_minimal_p95": float(np.quantile(ratio, 0.95)),
+            **covering_error(seen, self.reference).summary(),
             **area_shares(triangles, self.view),
         }
 
@@ -196,6 +207,20 @@ def capped(factors: Factors) -> tuple[np.ndarray, np.ndarray, int]:
     """Inner and outer levels cut off at the hardware's limit, and the number of patches that this concerns."""
     beyond = int(np.count_nonzero(factors.levels > HIGHEST_LEVEL))
     return np.minimum(factors.inner, HIGHEST_LEVEL), np.minimum(factors.edges, HIGHEST_LEVEL), beyond
+
+
+def ring_effect(uniform: np.ndarray, drawn: np.ndarray, tolerance: float) -> Row:
+    """What the rule for shared edges does to patches: their errors as uniform grids, and as they are drawn.
+
+    Shares of the patches that got worse by more than 1 %, and that were within the tolerance and are no more; and the
+    largest ratio, over patches that err by more than a hundredth of a pixel.
+    """
+    noticed = uniform > 0.01
+    return {
+        "share_worse_by_rings": float(np.mean(drawn > 1.01 * uniform)),
+        "share_unsafe_by_rings": float(np.mean((uniform <= tolerance) & (drawn > tolerance))),
+        "largest_ring_ratio": float(np.max(drawn[noticed] / uniform[noticed], initial=1.0)),
+    }
 
 
 def area_shares(triangles: Triangles, view: View) -> Row:
@@ -211,7 +236,15 @@ def area_shares(triangles: Triangles, view: View) -> Row:
 def summary(rows: list[Row]) -> list[Row]:
     """A row a rule: medians over all views, and the worst errors."""
     names = list(dict.fromkeys(row["method_name"] for row in rows))
-    medians = ("triangles", "share_above_0.5", "factor_over_minimal_median", "predict_ms", "render_ms")
+    medians = (
+        "triangles",
+        "share_above_0.5",
+        "share_wrong_silhouette",
+        "share_wrong_patch_inside",
+        "factor_over_minimal_median",
+        "predict_ms",
+        "render_ms",
+    )
     worst = ("sup_error_px", "drawn_sup_error_px", "max_error_px")
     found = []
     for name in names:

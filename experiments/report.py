@@ -33,6 +33,8 @@ HEADINGS = {
     "drawn_sup_error_px": "drawn sup px",
     "factor_over_minimal_median": "over minimal",
     "capped_patches": "capped",
+    "share_wrong_silhouette": "wrong edge",
+    "share_wrong_patch_inside": "wrong inside",
     "us_per_curve": "µs a curve",
 }
 Row = dict[str, Any]

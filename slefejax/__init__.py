@@ -9,7 +9,7 @@
 from slefejax.bspline import bspline_slefe, bspline_slefe_boxes
 from slefejax.errors import InputError, NoOpenGLError
 from slefejax.factors import Factors, tessellation_factors
-from slefejax.minimal import minimal_factors
+from slefejax.minimal import minimal_factors, minimal_pairs
 from slefejax.scene import Scene, load
 from slefejax.slefe import Slefe, SlefeTable, slefe, slefe_boxes, slefe_table
 from slefejax.supremum import sampled_error, worst_points
@@ -30,6 +30,7 @@ __all__ = [
     "bspline_slefe_boxes",
     "load",
     "minimal_factors",
+    "minimal_pairs",
     "sampled_error",
     "slefe",
     "slefe_boxes",

@@ -16,11 +16,11 @@ from jaxtyping import Int
 
 from slefejax.arguments import Number, Patches, check_patches, check_positive, is_whole
 from slefejax.errors import InputError
-from slefejax.supremum import Surface, cell_errors, worst_points
+from slefejax.supremum import Surface, in_batches, worst_points
 from slefejax.view import View
 
 _FIRST = 12  # the factor whose worst points are the first witnesses, and at which a patch must be seen to count
-_AHEAD = 16  # factors that are tried against the witnesses at once
+_AHEAD = 32  # candidates that are tried against the witnesses at once
 _WITNESSES = 8
 
 Progress = Callable[[int], None]
@@ -57,22 +57,54 @@ def minimal_factors(
     check_positive("tolerance", tolerance)
     if not is_whole(limit, 1):
         raise InputError(f"the limit must be a whole number of at least 1, not {limit!r}")
-    search = _Search(np.asarray(patches), view, float(tolerance), limit)
-    while search.open.any():
-        search.step()
-        if progress is not None:
-            progress(int(np.count_nonzero(~search.open)))
-    return search.factor
+    diagonal = np.repeat(np.arange(1, limit + 1)[:, None], 2, axis=1)
+    return _Search(np.asarray(patches), view, float(tolerance), diagonal).run(progress)[:, 0]
+
+
+def minimal_pairs(
+    patches: Patches,
+    view: View,
+    tolerance: Number = 0.5,
+    *,
+    limit: int = 512,
+    progress: Progress | None = None,
+) -> Int[np.ndarray, "patches 2"]:
+    """The pair (n_u, n_v) of every patch with the fewest triangles whose sampled error is at most ``tolerance``.
+
+    Arguments and errors as ``minimal_factors``; of pairs with equally many triangles the one nearest to a square.
+    Returns ``(patches, 2)`` whole numbers, 0 for a patch of which nothing is visible. A pair is never more than the
+    square of the minimal factor.
+
+    >>> parabola = np.zeros((1, 3, 2, 3))
+    >>> parabola[0, :, :, 0], parabola[0, 2, :, 1], parabola[0, :, 1, 2] = [[0], [50], [100]], 200, 1
+    >>> from slefejax import Camera
+    >>> camera = Camera.orthographic((50, 100, 5), (50, 100, 0), up=(0, 1, 0), height=300.0)
+    >>> minimal_pairs(parabola, View(camera, 300, 300), tolerance=2.0).tolist()
+    [[5, 1]]
+    """
+    square = minimal_factors(patches, view, tolerance, limit=limit)
+    pairs = _by_triangles(int(square.max()))
+    return _Search(np.asarray(check_patches(patches)), view, float(tolerance), pairs).run(progress)
+
+
+def _by_triangles(largest: int) -> Int[np.ndarray, "pairs 2"]:
+    """All pairs with a product of at most largest^2, the smallest first."""
+    rows = []
+    for n_u in range(1, largest * largest + 1):
+        n_v = np.arange(1, largest * largest // n_u + 1)
+        rows.append(np.column_stack([np.full(len(n_v), n_u), n_v]))
+    pairs = np.concatenate(rows) if rows else np.ones((1, 2), np.int64)
+    return pairs[np.lexsort((np.abs(pairs[:, 0] - pairs[:, 1]), pairs[:, 0] * pairs[:, 1]))]
 
 
 class _Search:
-    """All patches at once: each has a next factor to try and its witnesses."""
+    """All patches at once: each has a next candidate to try, in the order of the candidates, and its witnesses."""
 
-    def __init__(self, patches: np.ndarray, view: View, tolerance: float, limit: int) -> None:
-        self.patches, self.view, self.tolerance, self.limit = patches, view, tolerance, limit
+    def __init__(self, patches: np.ndarray, view: View, tolerance: float, candidates: np.ndarray) -> None:
+        self.patches, self.view, self.tolerance, self.candidates = patches, view, tolerance, candidates
         self.surface = Surface.of(patches, view)
-        self.factor = np.zeros(len(patches), np.int64)
-        self.next = np.ones(len(patches), np.int64)
+        self.found = np.zeros((len(patches), 2), np.int64)
+        self.next = np.zeros(len(patches), np.int64)
         self.witnesses = np.full((len(patches), _WITNESSES, 2), np.nan)
         self.known = np.zeros(len(patches), np.int64)  # witnesses that a patch has had
         first = worst_points(patches, np.full(len(patches), _FIRST), view)
@@ -81,15 +113,24 @@ class _Search:
         self._add_witnesses(seen, first.u[seen], first.v[seen])
         self._skip(seen)
 
-    def step(self) -> None:
-        """Measure the next factor of every open patch, then skip those that the witnesses rule out."""
+    def run(self, progress: Progress | None) -> Int[np.ndarray, "patches 2"]:
+        """Step until every patch is settled."""
+        while self.open.any():
+            self._step()
+            if progress is not None:
+                progress(int(np.count_nonzero(~self.open)))
+        return self.found
+
+    def _step(self) -> None:
+        """Measure the next candidate of every open patch, then skip those that the witnesses rule out."""
         chosen = np.flatnonzero(self.open)
         self._check_limit(chosen)
-        found = worst_points(self.patches[chosen], self.next[chosen], self.view)
+        levels = self.candidates[self.next[chosen]]
+        found = worst_points(self.patches[chosen], levels, self.view)
         # triangles that miss the screen have no error, but the patch is on it: they do not count as fine
         drawn = ~np.isnan(found.u)
         fine = drawn & (found.error <= self.tolerance)
-        self.factor[chosen[fine]] = self.next[chosen[fine]]
+        self.found[chosen[fine]] = levels[fine]
         self.open[chosen[fine]] = False
         bad = chosen[~fine]
         self._add_witnesses(chosen[~fine & drawn], found.u[~fine & drawn], found.v[~fine & drawn])
@@ -101,32 +142,35 @@ class _Search:
         self.known[chosen] += 1
 
     def _skip(self, chosen: np.ndarray) -> None:
-        """Move on past all factors at which a witness's cell errs too much."""
+        """Move on past all candidates at which a witness's cell errs too much."""
         while chosen.size:
             ahead = self.next[chosen][:, None] + np.arange(_AHEAD)
-            allowed = self._allowed(chosen, ahead) | (ahead > self.limit)
+            past = ahead >= len(self.candidates)
+            levels = self.candidates[np.minimum(ahead, len(self.candidates) - 1)]
+            allowed = self._allowed(chosen, levels) | past
             stop = allowed.any(axis=1)
             self.next[chosen] += np.where(stop, np.argmax(allowed, axis=1), _AHEAD)
             chosen = chosen[~stop]
 
-    def _allowed(self, chosen: np.ndarray, factors: np.ndarray) -> np.ndarray:
-        """Whether no witness speaks against these factors, ``(chosen, ahead)``."""
+    def _allowed(self, chosen: np.ndarray, levels: np.ndarray) -> np.ndarray:
+        """Whether no witness speaks against candidates: ``(chosen, ahead)`` for levels ``(chosen, ahead, 2)``."""
+        shape = levels.shape[:2]
         there = ~np.isnan(self.witnesses[chosen, None, :, 0])
-        row, column, which = np.nonzero(np.broadcast_to(there, (*factors.shape, _WITNESSES)))
-        place = self.witnesses[chosen][row, which]
-        levels = factors[row, column][:, None]
-        cell = np.minimum(np.floor(place * levels), levels - 1)
-        cells = np.column_stack([cell[:, 0], cell[:, 0] + 1, cell[:, 1], cell[:, 1] + 1]) / levels
+        row, column, which = np.nonzero(np.broadcast_to(there, (*shape, _WITNESSES)))
+        place, own = self.witnesses[chosen][row, which], levels[row, column]
+        cell = np.minimum(np.floor(place * own), own - 1)
+        cells = np.stack([cell, cell + 1], axis=2) / own[:, :, None]
         whole = np.tile([0.0, 0.0, 1.0], (len(cells), 1))
-        error, _, _ = cell_errors(self.surface, chosen[row], cells, whole)
-        worst = np.zeros(factors.shape)
+        error = in_batches(self.surface, chosen[row], cells.reshape(-1, 4), whole)[0]
+        worst = np.zeros(shape)
         np.maximum.at(worst, (row, column), error)
         return worst <= self.tolerance
 
     def _check_limit(self, chosen: np.ndarray) -> None:
-        beyond = chosen[self.next[chosen] > self.limit]
+        beyond = chosen[self.next[chosen] >= len(self.candidates)]
         if beyond.size:
             raise InputError(
-                f"patch {beyond[0]} (counted from 0) needs a factor above {self.limit} for {self.tolerance:g} px: raise"
-                " the limit or the tolerance (a patch that passes the camera's plane on the screen can never be right)"
+                f"patch {beyond[0]} (counted from 0) needs a factor above {self.candidates[-1].max()} for"
+                f" {self.tolerance:g} px: raise the limit or the tolerance (a patch that passes the camera's plane on"
+                " the screen can never be right)"
             )

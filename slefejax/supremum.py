@@ -193,7 +193,7 @@ def all_windows(levels: Int[np.ndarray, "patches 2"]) -> tuple[np.ndarray, Cells
 def _worst_of(surface: Surface, chosen: np.ndarray, levels: np.ndarray) -> tuple[np.ndarray, Supremum]:
     """The worst points of some patches (chosen are their numbers)."""
     patch, cells, windows = all_windows(levels)
-    error, a, b = _in_batches(surface, chosen[patch], cells, windows)
+    error, a, b = in_batches(surface, chosen[patch], cells, windows)
     for _ in range(_ZOOMS):
         keep = largest_of_each(patch, error, _KEPT)
         patch, cells, windows = patch[keep], cells[keep], windows[keep]
@@ -209,7 +209,8 @@ def _worst_of(surface: Surface, chosen: np.ndarray, levels: np.ndarray) -> tuple
     return chosen, Supremum(np.maximum(error[first], 0.0), np.where(seen, u, np.nan), np.where(seen, v, np.nan))
 
 
-def _in_batches(surface: Surface, patch: np.ndarray, cells: Cells, windows: Windows) -> tuple[np.ndarray, ...]:
+def in_batches(surface: Surface, patch: np.ndarray, cells: Cells, windows: Windows) -> tuple[np.ndarray, ...]:
+    """``cell_errors`` with bounded memory."""
     parts = [slice(at, at + _BATCH) for at in range(0, len(patch), _BATCH)]
     found = [cell_errors(surface, patch[part], cells[part], windows[part]) for part in parts]
     return tuple(np.concatenate(column) for column in zip(*found, strict=True))

@@ -35,6 +35,10 @@ def test_run(device, capsys, monkeypatch):
         assert row["max_error_px"] <= row["drawn_sup_error_px"] + 0.01
         assert row["predict_ms"] > 0
         assert row["render_ms"] > 0
+        assert row["largest_ring_ratio"] >= 1 - 1e-3
+        assert row["share_unsafe_by_rings"] <= row["share_worse_by_rings"] <= 1
+        if row["method"] == "fixed":
+            assert row["share_worse_by_rings"] == 0, "all edges alike: no rings"
         if row["method"] == "filip":
             assert row["sup_error_px"] <= 0.5
             assert row["factor_over_minimal_median"] >= 1

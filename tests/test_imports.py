@@ -29,7 +29,7 @@ LAYERS = [
         "io",
         "data",
     },
-    {"factors", "minimal"},
+    {"factors", "minimal", "covering"},
     {"scene", "testing"},
 ]
 ANALYSIS = set().union(*LAYERS)

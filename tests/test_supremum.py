@@ -8,6 +8,7 @@ from slefejax import (
     InputError,
     View,
     minimal_factors,
+    minimal_pairs,
     sampled_error,
     tessellation_factors,
     triangle_error,
@@ -232,6 +233,27 @@ def test_rendered_pixels_agree_with_the_captured_triangles(device, teapot, edges
 
 
 @pytest.mark.gl
+@pytest.mark.parametrize("degree", [1, 2, 4])
+def test_rendered_pixels_agree_on_other_surfaces(device, rng, degree):
+    """Patches of other degrees, laid in all ways, with random levels, in perspective."""
+    from slefejax.error import pixel_error
+    from slefejax.gpu import Renderer
+    from tests.test_gpu import lattice, random_levels
+
+    patches = lattice(rng, 5, degree, relief=4.0)
+    view = View(Camera.look_at((0.3, -2.2, 1.6), (0, 0, 0)), 900, 600)
+    inner, outer = random_levels(rng, patches, 1, 7)
+    renderer = Renderer(patches, device)
+    found = triangle_error(patches, renderer.capture(view, inner, outer), view)
+    seen = renderer.draw(view, inner, outer)
+    error = pixel_error(patches, view, seen.u, seen.v, seen.patch)
+    largest = np.array([np.nanmax(np.where(seen.patch == p, error, 0.0)) for p in range(len(patches))])
+    assert np.all(largest <= found + 0.01)
+    shown = found > 0.05
+    assert np.median(largest[shown] / found[shown]) > 0.9
+
+
+@pytest.mark.gl
 def test_transition_rings_break_the_papers_rule(device, teapot, main_view):
     """MATH.md, section 5: raising an edge's factor to the neighbour's can multiply the error."""
     from slefejax.gpu import Renderer
@@ -242,3 +264,24 @@ def test_transition_rings_break_the_papers_rule(device, teapot, main_view):
     uniform = sampled_error(teapot.patches(), factors, main_view)
     assert (ring / uniform).max() > 2.0
     assert np.count_nonzero(ring > 0.5) > np.count_nonzero(uniform > 0.5)
+
+
+def test_minimal_pairs_are_valid_and_nothing_smaller_is(teapot, main_view):
+    """Against brute force over all pairs with fewer triangles."""
+    patches, tolerance = teapot.patches()[[0, 13, 20]], 8.0
+    pairs = minimal_pairs(patches, main_view, tolerance=tolerance)
+    assert np.all(sampled_error(patches, pairs, main_view) <= tolerance)
+    for n_u in range(1, int(pairs.prod(axis=1).max()) + 1):
+        for n_v in range(1, int(pairs.prod(axis=1).max()) // n_u + 1):
+            smaller = n_u * n_v < pairs.prod(axis=1)
+            if smaller.any():
+                error = sampled_error(patches[smaller], np.tile([n_u, n_v], (smaller.sum(), 1)), main_view)
+                assert np.all(error > tolerance), (n_u, n_v)
+
+
+def test_minimal_pairs_save_triangles_on_the_teapot(teapot, main_view):
+    pairs = minimal_pairs(teapot.patches(), main_view)
+    factors = minimal_factors(teapot.patches(), main_view)
+    assert sampled_error(teapot.patches(), pairs, main_view).max() <= 0.5
+    assert np.all(pairs.prod(axis=1) <= factors**2)
+    assert 2 * pairs.prod(axis=1).sum() == pytest.approx(15_994, rel=0.01)
