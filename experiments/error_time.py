@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -85,12 +86,14 @@ class ErrorTime:
             for number, view in enumerate(cameras_around(scene, *parse_size(self.size), self.cameras, self.seed))
         }
         with Run("error-time", {**asdict(self), "output": None}, self.output.out, inputs) as run:
-
-            def measure(key: str) -> Row:
-                scene, view = views[key]
-                return {"rows": _View(scene, view, self, run if key == next(iter(views)) else None).rows(key)}
-
             with progress("measuring", len(views)) as show:
+
+                def measure(key: str) -> Row:
+                    scene, view = views[key]
+                    first = run if key == next(iter(views)) else None
+                    count = f"of {len(scene.patches()):,} minimal factors"
+                    return {"rows": _View(scene, view, self, first, lambda n: show(detail=f"{n:,} {count}")).rows(key)}
+
                 found = run.each("view", list(views), measure, show)
             rows = [row for view in found for row in view["rows"]]
             write_error_against_time(run.file("error_against_time.png"), rows, self.tolerance)
@@ -113,11 +116,13 @@ def picture_name(method: str) -> str:
 class _View:
     """All rules on one scene from one camera."""
 
-    def __init__(self, scene: Scene, view: View, options: ErrorTime, run: Run | None) -> None:
+    def __init__(
+        self, scene: Scene, view: View, options: ErrorTime, run: Run | None, settled: Callable[[int], None]
+    ) -> None:
         self.scene, self.view, self.options, self.run = scene, view, options, run
         self.patches = scene.patches()
         self.renderer = Renderer(self.patches)
-        self.minimal = minimal_factors(self.patches, view, options.tolerance)
+        self.minimal = minimal_factors(self.patches, view, options.tolerance, progress=settled)
         self.reference = self._finest(View(view.camera, 2 * view.width, 2 * view.height))
 
     def rows(self, key: str) -> list[Row]:

@@ -177,12 +177,13 @@ def _blocks(counts: np.ndarray) -> list[np.ndarray]:
     return [drawn[groups == g] for g in np.unique(groups)]
 
 
-def all_windows(levels: Int[np.ndarray, "patches 2"]) -> tuple[np.ndarray, Cells, Windows]:
-    """(patch, cells, windows) that sample all cells of patches cut by these levels."""
+def windows_of(levels: Int[np.ndarray, "patches 2"], start: int, end: int) -> tuple[np.ndarray, Cells, Windows]:
+    """(patch, cells, windows) number start ... end-1 of those that sample all cells of patches cut by these levels."""
     splits = _splits(levels)
-    counts = np.prod(levels, axis=1) * splits**2
-    patch = np.repeat(np.arange(len(levels)), counts)
-    index = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    ends = np.cumsum(_window_counts(levels))
+    index = np.arange(start, min(end, int(ends[-1])))
+    patch = np.searchsorted(ends, index, side="right")
+    index = index - np.where(patch > 0, ends[patch - 1], 0)
     split, nu, nv = splits[patch], levels[patch, 0], levels[patch, 1]
     index, part = np.divmod(index, split**2)
     i, j = np.divmod(index, nv)
@@ -190,23 +191,48 @@ def all_windows(levels: Int[np.ndarray, "patches 2"]) -> tuple[np.ndarray, Cells
     return patch, cells, np.column_stack([(part // split) / split, (part % split) / split, 1.0 / split])
 
 
+class _Sampled(NamedTuple):
+    """Windows with their largest sampled errors and where in the cell these are."""
+
+    patch: np.ndarray
+    cells: Cells
+    windows: Windows
+    error: np.ndarray
+    a: np.ndarray
+    b: np.ndarray
+
+    def only(self, keep: np.ndarray) -> _Sampled:
+        """Some of them."""
+        return _Sampled(*(column[keep] for column in self))
+
+
 def _worst_of(surface: Surface, chosen: np.ndarray, levels: np.ndarray) -> tuple[np.ndarray, Supremum]:
     """The worst points of some patches (chosen are their numbers)."""
-    patch, cells, windows = all_windows(levels)
-    error, a, b = in_batches(surface, chosen[patch], cells, windows)
+    kept = []
+    for start in range(0, int(_window_counts(levels).sum()), _BATCH):
+        patch, cells, windows = windows_of(levels, start, start + _BATCH)
+        found = _Sampled(patch, cells, windows, *cell_errors(surface, chosen[patch], cells, windows))
+        kept.append(found.only(largest_of_each(found.patch, found.error, _KEPT)))
+    best = _Sampled(*(np.concatenate(column) for column in zip(*kept, strict=True)))
     for _ in range(_ZOOMS):
-        keep = largest_of_each(patch, error, _KEPT)
-        patch, cells, windows = patch[keep], cells[keep], windows[keep]
-        windows = _around(a[keep], b[keep], windows[:, 2])
-        known, best = error[keep], (a[keep], b[keep])
-        error, a, b = cell_errors(surface, chosen[patch], cells, windows)
-        better = error > known
-        error, a, b = (np.where(better, new, old) for new, old in zip((error, a, b), (known, *best), strict=True))
-    first = largest_of_each(patch, error, 1)
-    u = cells[first, 0] + a[first] * (cells[first, 1] - cells[first, 0])
-    v = cells[first, 2] + b[first] * (cells[first, 3] - cells[first, 2])
-    seen = error[first] >= 0
-    return chosen, Supremum(np.maximum(error[first], 0.0), np.where(seen, u, np.nan), np.where(seen, v, np.nan))
+        best = best.only(largest_of_each(best.patch, best.error, _KEPT))
+        best = _zoomed(surface, chosen, best)
+    best = best.only(largest_of_each(best.patch, best.error, 1))
+    u = best.cells[:, 0] + best.a * (best.cells[:, 1] - best.cells[:, 0])
+    v = best.cells[:, 2] + best.b * (best.cells[:, 3] - best.cells[:, 2])
+    seen = best.error >= 0
+    return chosen, Supremum(np.maximum(best.error, 0.0), np.where(seen, u, np.nan), np.where(seen, v, np.nan))
+
+
+def _zoomed(surface: Surface, chosen: np.ndarray, best: _Sampled) -> _Sampled:
+    """The windows around the largest samples, where that finds something larger."""
+    windows = _around(best.a, best.b, best.windows[:, 2])
+    found = cell_errors(surface, chosen[best.patch], best.cells, windows)
+    better = found[0] > best.error
+    known = (best.error, best.a, best.b)
+    return _Sampled(
+        best.patch, best.cells, windows, *(np.where(better, new, old) for new, old in zip(found, known, strict=True))
+    )
 
 
 def in_batches(surface: Surface, patch: np.ndarray, cells: Cells, windows: Windows) -> tuple[np.ndarray, ...]:

@@ -10,6 +10,7 @@ from slefejax import (
     minimal_factors,
     minimal_pairs,
     sampled_error,
+    supremum,
     tessellation_factors,
     triangle_error,
     worst_points,
@@ -264,6 +265,22 @@ def test_transition_rings_break_the_papers_rule(device, teapot, main_view):
     uniform = sampled_error(teapot.patches(), factors, main_view)
     assert (ring / uniform).max() > 2.0
     assert np.count_nonzero(ring > 0.5) > np.count_nonzero(uniform > 0.5)
+
+
+def test_memory_is_bounded_whatever_the_factors(monkeypatch):
+    """360,000 cells of one patch are sampled in batches."""
+    batches = []
+    real = supremum.cell_errors
+
+    def counting(surface, patch, cells, windows):
+        batches.append(len(patch))
+        return real(surface, patch, cells, windows)
+
+    monkeypatch.setattr(supremum, "cell_errors", counting)
+    found = sampled_error(parabola(200.0), [600], flat_view())
+    assert found[0] == pytest.approx(200.0 / (4 * 600**2), rel=1e-6)
+    assert max(batches) <= supremum._BATCH
+    assert sum(batches) >= 600**2
 
 
 def test_minimal_pairs_are_valid_and_nothing_smaller_is(teapot, main_view):
