@@ -18,6 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 MOST_ROWS = 60
+_LONG = 40  # of a text that may be wrapped
 HEADINGS = {
     "share_above_0.1": "> 0.1 px",
     "share_above_0.5": "> 0.5 px",
@@ -88,8 +89,9 @@ def _table(rows: list[Row]) -> str:
         return _rendered(table)
     columns = [name for name in rows[0] if name not in constant]
     for name in columns:
-        words = isinstance(rows[0][name], str)
-        table.add_column(_heading(name), justify="left" if words else "right", no_wrap=not words)
+        words = [row[name] for row in rows if isinstance(row[name], str)]
+        long = any(len(word) > _LONG for word in words)
+        table.add_column(_heading(name), justify="left" if words else "right", no_wrap=not long)
     for row in rows[:MOST_ROWS]:
         table.add_row(*[_shown(name, row[name]) for name in columns])
     shared = ", ".join(f"{_heading(name)} {_shown(name, value)}" for name, value in constant.items())
@@ -99,7 +101,7 @@ def _table(rows: list[Row]) -> str:
 def _rendered(table: Table) -> str:
     """As text; wide enough for numbers, never wider than a long line of words."""
     page = io.StringIO()
-    Console(file=page, width=150, highlight=False).print(table)
+    Console(file=page, width=180, highlight=False).print(table)
     return "\n".join(line.rstrip() for line in page.getvalue().strip("\n").splitlines())
 
 

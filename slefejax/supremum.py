@@ -97,7 +97,12 @@ class Surface(NamedTuple):
 
     @staticmethod
     def of(patches: np.ndarray, view: View) -> Surface:
-        """In float64."""
+        """In float64. Raises InputError for a view that is none, or control points that are not finite (which patch)."""
+        if not isinstance(view, View):
+            raise InputError(f"the view must be a slefejax.View, not {type(view).__name__}")
+        bad = np.flatnonzero(~np.isfinite(np.asarray(patches)).all(axis=(1, 2, 3)))
+        if bad.size:
+            raise InputError(f"patch {bad[0]} (counted from 0) has control points that are not finite numbers")
         control: Any = homogeneous(np.asarray(patches, np.float64)) @ np.asarray(view.world_to_screen).T
         return Surface(np.moveaxis(control, 0, -1), np.array([view.width, view.height], np.float64))
 

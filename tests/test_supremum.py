@@ -129,6 +129,17 @@ def test_factors_zero_are_not_drawn_and_bad_ones_are_refused(teapot, main_view):
             sampled_error(teapot.patches(), bad, main_view)
 
 
+def test_points_that_are_not_finite_are_named(teapot, main_view):
+    patches = teapot.patches().copy()
+    patches[3, 0, 0, 0] = np.nan
+    for call in (
+        lambda: sampled_error(patches, np.full(32, 4), main_view),
+        lambda: minimal_factors(patches, main_view),
+    ):
+        with pytest.raises(InputError, match=r"patch 3 \(counted from 0\)"):
+            call()
+
+
 def test_pairs_cut_along_u_and_v(rng):
     """A function of u alone does not care how often v is cut."""
     view = flat_view(200, 300)
