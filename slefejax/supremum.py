@@ -97,7 +97,7 @@ class Surface(NamedTuple):
 
     @staticmethod
     def of(patches: np.ndarray, view: View) -> Surface:
-        """In float64. Raises InputError for a view that is none, or control points that are not finite (which patch)."""
+        """In float64. Raises InputError for a view that is none, or for control points that are not finite."""
         if not isinstance(view, View):
             raise InputError(f"the view must be a slefejax.View, not {type(view).__name__}")
         bad = np.flatnonzero(~np.isfinite(np.asarray(patches)).all(axis=(1, 2, 3)))
