@@ -94,7 +94,7 @@ def _table(rows: list[Row]) -> str:
         table.add_column(_heading(name), justify="left" if words else "right", no_wrap=not long)
     for row in rows[:MOST_ROWS]:
         table.add_row(*[_shown(name, row[name]) for name in columns])
-    shared = ", ".join(f"{_heading(name)} {_shown(name, value)}" for name, value in constant.items())
+    shared = ", ".join(f"{_heading(name)} {_shown(name, value)}" for name, value in constant.items() if value != "")
     return _rendered(table) + (f"\nin every row: {shared}" if shared else "")
 
 

@@ -24,7 +24,7 @@ from typing import Any
 
 from slefejax.errors import InputError
 
-PACKAGES = ("slefejax", "jax", "jaxlib", "numpy", "scipy", "trimesh", "moderngl", "matplotlib")
+PACKAGES = ("slefejax", "jax", "jaxlib", "numpy", "scipy", "scikit-image", "trimesh", "moderngl", "matplotlib")
 Row = dict[str, Any]
 
 

@@ -50,7 +50,7 @@ def minimal_factors(
     >>> parabola[0, :, :, 0], parabola[0, 2, :, 1], parabola[0, :, 1, 2] = [[0], [50], [100]], 200, 1
     >>> from slefejax import Camera
     >>> camera = Camera.orthographic((50, 100, 5), (50, 100, 0), up=(0, 1, 0), height=300.0)
-    >>> minimal_factors(parabola, View(camera, 300, 300), tolerance=2.0).tolist()         # 200 / (4 n^2) <= 2
+    >>> minimal_factors(parabola, View(camera, 300, 300), tolerance=2.1).tolist()         # 200 / (4 n^2) <= 2.1
     [5]
     """
     patches = check_patches(patches)
@@ -79,7 +79,7 @@ def minimal_pairs(
     >>> parabola[0, :, :, 0], parabola[0, 2, :, 1], parabola[0, :, 1, 2] = [[0], [50], [100]], 200, 1
     >>> from slefejax import Camera
     >>> camera = Camera.orthographic((50, 100, 5), (50, 100, 0), up=(0, 1, 0), height=300.0)
-    >>> minimal_pairs(parabola, View(camera, 300, 300), tolerance=2.0).tolist()
+    >>> minimal_pairs(parabola, View(camera, 300, 300), tolerance=2.1).tolist()
     [[5, 1]]
     """
     square = minimal_factors(patches, view, tolerance, limit=limit)

@@ -1,0 +1,35 @@
+"""Examples in docstrings and in the README do what they say."""
+
+from __future__ import annotations
+
+import doctest
+import re
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+from tests.test_imports import modules
+
+ROOT = Path(__file__).resolve().parents[1]
+WITH_EXAMPLES = sorted(name for name, path in modules().items() if ">>>" in path.read_text())
+
+
+@pytest.mark.parametrize("name", WITH_EXAMPLES)
+def test_examples_of_a_module(name):
+    failed, tried = doctest.testmod(import_module(name.removesuffix(".__init__")), verbose=False)
+    assert tried > 0
+    assert failed == 0
+
+
+@pytest.mark.gl
+def test_scripts_of_the_readme(device, capsys):
+    scripts = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL)
+    whole = [script for script in scripts if script.startswith("import")]
+    assert len(whole) == 2
+    for script in whole:
+        exec(compile(script, "README.md", "exec"), {})
+    shown = capsys.readouterr().out.split("\n")
+    assert shown[0].startswith("537.8")
+    assert 350 < int(shown[0].split()[1]) < 500  # drivers differ in which pixels of an edge they draw
+    assert shown[1].startswith("20178 15994 0.499")
