@@ -81,7 +81,7 @@ class ErrorTime:
         device = open_device()
         inputs = {"scenes": [digest(s.patches().tobytes()) for s in scenes], "opengl": device.renderer}
         views = {
-            f"{index} {scene.name} {number}": (scene, view)
+            f"{index} {scene.name} {number}": (scene, view, number)
             for index, scene in enumerate(scenes)
             for number, view in enumerate(cameras_around(scene, *parse_size(self.size), self.cameras, self.seed))
         }
@@ -89,10 +89,12 @@ class ErrorTime:
             with progress("measuring", len(views)) as show:
 
                 def measure(key: str) -> Row:
-                    scene, view = views[key]
+                    scene, view, camera = views[key]
                     first = run if key == next(iter(views)) else None
                     count = f"of {len(scene.patches()):,} minimal factors"
-                    return {"rows": _View(scene, view, self, first, lambda n: show(detail=f"{n:,} {count}")).rows(key)}
+                    return {
+                        "rows": _View(scene, view, self, first, lambda n: show(detail=f"{n:,} {count}")).rows(camera)
+                    }
 
                 found = run.each("view", list(views), measure, show)
             rows = [row for view in found for row in view["rows"]]
@@ -125,7 +127,7 @@ class _View:
         self.minimal = minimal_factors(self.patches, view, options.tolerance, progress=settled)
         self.reference = self._finest(View(view.camera, 2 * view.width, 2 * view.height))
 
-    def rows(self, key: str) -> list[Row]:
+    def rows(self, camera: int) -> list[Row]:
         """A row for every rule; run times of rules that take turns."""
         compile_ms = {m.name: self._first_call(m) for m in METHODS}
         predicted = {m.name: self._predict(m) for m in METHODS}
@@ -136,14 +138,13 @@ class _View:
         for _ in range(self.options.repeats):
             for m in METHODS:
                 times[m.name].append(self._timed(m, *levels[m.name][:2]))
-        _, scene, camera = key.rsplit(maxsplit=2) if key.count(" ") == 2 else ("", key, "0")
         rows = []
         for m in METHODS:
             predict, render = (1e3 * np.array(t) for t in zip(*times[m.name], strict=True))
             rows.append(
                 {
-                    "scene": scene,
-                    "camera": int(camera),
+                    "scene": self.scene.name,
+                    "camera": camera,
                     "method_name": m.name,
                     "method": m.method,
                     "segments": m.segments,

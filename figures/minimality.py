@@ -9,11 +9,9 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.image import imread
-from matplotlib.patches import Patch
 
-from slefejax.figures.style import BACKGROUND, ERROR_CLASSES, FACTOR_MAP, SETTINGS, new_figure, save
+from slefejax.figures.style import BACKGROUND, FACTOR_MAP, SETTINGS, error_legend, new_figure, occupied, save
 
-_MARGIN = 12  # pixels around the object
 Box = tuple[slice, slice]
 Label = tuple[float, float, str]
 
@@ -26,7 +24,7 @@ def write_factor_map(path: Path, factor: np.ndarray, labels: list[Label]) -> Non
     with mpl.rc_context(SETTINGS):
         figure = new_figure(10, 6.2)
         axes = figure.subplots()
-        _paint_factors(axes, factor, labels, _occupied(factor))
+        _paint_factors(axes, factor, labels, occupied(~np.isnan(factor)))
         save(figure, path)
 
 
@@ -49,7 +47,7 @@ def write_minimality_figure(
         figure = new_figure(15, 5.2 + 3.6 * lines)
         halves: Any = figure.subfigures(2, 1, height_ratios=[5.2, 3.6 * lines])
         top, bottom = halves
-        box = _occupied(factor)
+        box = occupied(~np.isnan(factor))
         left, right = top.subplots(1, 2, width_ratios=[1.25, 1])
         _paint_factors(left, factor, labels, box)
         _plot_shares(right, rows)
@@ -58,8 +56,7 @@ def write_minimality_figure(
             _show_errors(axes, row, imread(image), box)
         for axes in grid[len(rows) :]:
             axes.set_axis_off()
-        handles = [Patch(facecolor=colour, label=name) for _, colour, name in ERROR_CLASSES]
-        bottom.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, title="error of a pixel")
+        error_legend(bottom)
         first = rows[0]
         figure.suptitle(
             f"{scene}: is the predicted tessellation safe, and would less do?  Factors predicted ({first['method']},"
@@ -69,12 +66,6 @@ def write_minimality_figure(
             fontsize=13,
         )
         save(figure, path)
-
-
-def _occupied(values: np.ndarray) -> Box:
-    """The part of a picture where something is, with a margin."""
-    rows, columns = (np.flatnonzero(np.any(~np.isnan(values), axis=axis)) for axis in (1, 0))
-    return tuple(slice(max(0, r[0] - _MARGIN), r[-1] + _MARGIN + 1) for r in (rows, columns))  # type: ignore[return-value]
 
 
 def _paint_factors(axes: Axes, factor: np.ndarray, labels: list[Label], box: Box) -> None:

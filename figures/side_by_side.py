@@ -8,19 +8,15 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.image import imread
-from matplotlib.patches import Patch
 
-from slefejax.figures.style import ERROR_CLASSES, SETTINGS, new_figure, save
-
-_MARGIN = 12  # pixels around the object
+from slefejax.figures.style import SETTINGS, error_legend, new_figure, occupied, save
 
 
 def write_side_by_side(path: Path, panels: list[tuple[dict[str, Any], Path]]) -> None:
     """A panel a rule: its row and its error image."""
     images = [imread(image)[..., :3] for _, image in panels]
     something = np.any([np.any(image != 1.0, axis=-1) for image in images], axis=0)
-    rows, columns = (np.flatnonzero(something.any(axis=axis)) for axis in (1, 0))
-    box = tuple(slice(max(0, r[0] - _MARGIN), r[-1] + _MARGIN + 1) for r in (rows, columns))
+    box = occupied(something)
     with mpl.rc_context(SETTINGS):
         figure = new_figure(15, 8)
         for axes, (row, _), image in zip(np.ravel(figure.subplots(2, 3)), panels, images, strict=False):
@@ -31,6 +27,5 @@ def write_side_by_side(path: Path, panels: list[tuple[dict[str, Any], Path]]) ->
                 fontsize=11,
             )
             axes.set_axis_off()
-        handles = [Patch(facecolor=colour, label=name) for _, colour, name in ERROR_CLASSES]
-        figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, title="error of a pixel")
+        error_legend(figure)
         save(figure, path)

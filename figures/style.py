@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 # The papers' error colours, in shades that the colour-blind can tell apart: (limit in pixels, colour, name)
 ERROR_CLASSES = (
@@ -16,6 +18,7 @@ ERROR_CLASSES = (
     (float("inf"), "#c81e1e", "> 1 px"),
 )
 BACKGROUND = "#ffffff"
+_MARGIN = 12  # pixels around what is shown of a picture
 FACTOR_MAP = "viridis"
 
 # One colour (Okabe and Ito's, for the colour-blind) and one mark a method, the same in every figure
@@ -49,6 +52,19 @@ def new_figure(width: float, height: float) -> Figure:
     """A figure of that many inches, in the common style, with no window behind it."""
     with mpl.rc_context(SETTINGS):
         return Figure(figsize=(width, height), layout="constrained")
+
+
+def occupied(something: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns of the part of a picture where a mask is set, with a margin."""
+    rows, columns = (np.flatnonzero(something.any(axis=axis)) for axis in (1, 0))
+    first, second = (slice(max(0, r[0] - _MARGIN), r[-1] + _MARGIN + 1) for r in (rows, columns))
+    return first, second
+
+
+def error_legend(figure: Any) -> None:
+    """The error colours and what they mean, below a figure or a part of one."""
+    handles = [Patch(facecolor=colour, label=name) for _, colour, name in ERROR_CLASSES]
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, title="error of a pixel")
 
 
 def save(figure: Figure, path: Path) -> None:

@@ -46,6 +46,31 @@ def test_run(device, capsys, monkeypatch):
     assert pictures | {"table.csv", "run.json", "error_filip.png"} <= set(os.listdir(result["out"]))
 
 
+@pytest.mark.gl
+def test_names_with_blanks_and_several_scenes(device, capsys, monkeypatch, tmp_path):
+    quad = "1\n1 1\n0 0 0\n0 1 0\n1 0 0\n1 1 0.3\n"
+    (tmp_path / "my first quad.bpt").write_text(quad)
+    few = [m for m in error_time.METHODS if m.name in ("slefe m=3", "fixed 16")]
+    monkeypatch.setattr(error_time, "METHODS", few)
+    monkeypatch.setattr(error_time, "PICTURES", tuple(m.name for m in few))
+    command = [
+        "error-time",
+        "my first quad.bpt",
+        "teapot",
+        "--size",
+        "120x80",
+        "--cameras",
+        "2",
+        "--repeats",
+        "1",
+        "--json",
+    ]
+    assert main(command) == 0
+    table = json.loads(capsys.readouterr().out)["table"]
+    wanted = [(name, camera) for name in ("my first quad", "teapot") for camera in (0, 1)]
+    assert [(row["scene"], row["camera"]) for row in table[::2]] == wanted
+
+
 def test_cameras_are_reproducible_and_hold_the_scene(teapot):
     views = cameras_around(teapot, 160, 100, 12, seed=3)
     again = cameras_around(teapot, 160, 100, 12, seed=3)
