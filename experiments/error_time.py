@@ -103,7 +103,7 @@ class ErrorTime:
             write_triangle_sizes(run.file("triangle_sizes.png"), rows, AREAS)
             first = {row["method_name"]: row for row in found[0]["rows"]}
             panels = [(first[name], run.file(picture_name(name))) for name in PICTURES]
-            write_side_by_side(run.file("side_by_side.png"), panels)
+            write_side_by_side(run.file("side_by_side.png"), panels, self.tolerance)
             names = " ".join(scene.name for scene in scenes)
             out = run.finish(rows, {"scene": names, "opengl": {"renderer": device.renderer, "version": device.version}})
         title = f"{names}: rules for tessellation factors at {self.tolerance:g} px, {len(views)} views of {self.size}"

@@ -12,20 +12,27 @@ from matplotlib.image import imread
 from slefejax.figures.style import SETTINGS, error_legend, new_figure, occupied, save
 
 
-def write_side_by_side(path: Path, panels: list[tuple[dict[str, Any], Path]]) -> None:
-    """A panel a rule: its row and its error image."""
+def write_side_by_side(path: Path, panels: list[tuple[dict[str, Any], Path]], tolerance: float) -> None:
+    """A panel a rule: its row and its error image; ``tolerance`` in pixels is what the rules were asked for."""
     images = [imread(image)[..., :3] for _, image in panels]
     something = np.any([np.any(image != 1.0, axis=-1) for image in images], axis=0)
     box = occupied(something)
     with mpl.rc_context(SETTINGS):
-        figure = new_figure(15, 8)
+        figure = new_figure(15, 8.6)
         for axes, (row, _), image in zip(np.ravel(figure.subplots(2, 3)), panels, images, strict=False):
             axes.imshow(image[box], interpolation="nearest")
+            beyond = f", {row['capped_patches']} patches cut off at 64" if row["capped_patches"] else ""
+            share = 100 * row["share_above_0.5"]
             axes.set_title(
-                f"{row['method_name']}: {row['triangles']:,} triangles\n{100 * row['share_above_0.5']:.2g} % of the"
-                f" pixels off by more than ½ px, worst {row['max_error_px']:.2f} px",
+                f"{row['method_name']}{beyond}: {row['triangles']:,} triangles\n{share:.2g} % of the pixels off by more"
+                f" than ½ px, worst {row['max_error_px']:.2f} px",
                 fontsize=11,
             )
             axes.set_axis_off()
         error_legend(figure)
+        figure.suptitle(
+            f"{panels[0][0]['scene']} by different rules for tessellation factors, asked for at most {tolerance:g} px:"
+            " how far is each pixel from where its texture belongs?",
+            fontsize=13,
+        )
         save(figure, path)
