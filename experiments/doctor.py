@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 
 import jax
+import numpy as np
 
 from slefejax.errors import NoOpenGLError
 from slefejax.experiments.report import Report
 from slefejax.experiments.store import PACKAGES, Row
-from slefejax.gpu import open_device
+from slefejax.gpu import measure_pattern, open_device
+from slefejax.rings import direct3d11
 
 
 @dataclass(frozen=True)
@@ -62,4 +64,13 @@ def _opengl() -> list[Row]:
         _row("OpenGL version", device.version),
         _row("highest tessellation level", str(device.highest_level)),
         _row("coverage self-test", "passed: every pixel is drawn, from the right place"),
+        _pattern(),
     ]
+
+
+def _pattern() -> Row:
+    own, known = measure_pattern(), direct3d11()
+    if np.all(own.reach <= known.reach) and np.all(own.cell <= known.cell):
+        return _row("tessellator's pattern", "that of Direct3D 11, which certified factors take for granted")
+    advice = "pass pattern=slefejax.gpu.measure_pattern() to tessellation_factors"
+    return _row("tessellator's pattern", "reaches further than Direct3D 11's", advice)

@@ -4,6 +4,7 @@ It draws what it is told and knows nothing of how the levels were predicted.
 """
 
 from slefejax.gpu.context import Device, open_device
+from slefejax.gpu.pattern import measure_pattern
 from slefejax.gpu.renderer import GBuffer, Renderer, Triangles
 
-__all__ = ["Device", "GBuffer", "Renderer", "Triangles", "open_device"]
+__all__ = ["Device", "GBuffer", "Renderer", "Triangles", "measure_pattern", "open_device"]

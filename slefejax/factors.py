@@ -14,15 +14,18 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from slefejax import layout
-from slefejax.arguments import Number, Patches, Segments, check_patches, check_positive, segment_pair
+from slefejax.arguments import Number, Patches, Segments, check_patches, check_positive, is_whole, segment_pair
+from slefejax.certificate import Certificate
+from slefejax.certified import certified_factor
 from slefejax.edges import edge_maxima, shared_edges
 from slefejax.errors import InputError
 from slefejax.estimate import Projection, slefe_factor
+from slefejax.rings import Pattern, direct3d11
 from slefejax.rules import RULES, SETTINGS, on_screen
 from slefejax.tiles import check_weights
 from slefejax.view import View
 
-METHODS = ("slefe", *RULES)
+METHODS = ("certified", "slefe", *RULES)
 _LARGEST_LEVEL = 2**31
 
 
@@ -34,11 +37,15 @@ class Factors:
     factor  : ``(patches,)``, real, before rounding up; 0 for a patch that is off-screen
     patches : the control points, from which shared edges are found when they are asked for; None inside a trace
     known   : the result of ``slefejax.edges.shared_edges`` if it is there already
+    pairs   : ``(patches, 2)``, real factors along u and v, if they were asked for (``anisotropic``)
+    certificate : of certified factors: decides whether transition rings keep the tolerance too
     """
 
     factor: Float[Array | np.ndarray, "patches"]
     patches: Any = field(default=None, repr=False)
     known: Int[np.ndarray, "patches 4"] | None = field(default=None, repr=False)
+    pairs: Float[np.ndarray, "patches 2"] | None = field(default=None, repr=False)
+    certificate: Certificate | None = field(default=None, repr=False)
 
     @cached_property
     def levels(self) -> Int[np.ndarray, "patches"]:
@@ -64,17 +71,32 @@ class Factors:
     @cached_property
     def inner(self) -> Int[np.ndarray, "patches 2"]:
         """Inner levels along u and v, whole numbers."""
-        return np.repeat(self.levels[:, None], 2, axis=1)
+        return self._drawn[0]
 
     @cached_property
     def edges(self) -> Int[np.ndarray, "patches 4"]:
-        """Outer levels at u=0, v=0, u=1, v=1 (OpenGL's order): the larger of the two neighbours', 0 off-screen."""
-        return edge_maxima(self.levels, self.edge_numbers)
+        """Outer levels at u=0, v=0, u=1, v=1 (OpenGL's order), equal where edges are shared; 0 off-screen.
+
+        The larger of the two neighbours' levels; of certified factors more where the transition rings need it.
+        """
+        return self._drawn[1]
+
+    @cached_property
+    def _drawn(self) -> tuple[np.ndarray, np.ndarray]:
+        if self.certificate is not None:
+            real = np.repeat(np.asarray(self.factor)[:, None], 2, axis=1) if self.pairs is None else self.pairs
+            _ = self.levels  # raises for factors that are no levels
+            return self.certificate.levels(real, self.edge_numbers)
+        return np.repeat(self.levels[:, None], 2, axis=1), edge_maxima(self.levels, self.edge_numbers)
 
     def scaled(self, scale: float) -> Factors:
         """The same with every factor multiplied by ``scale`` > 0, to see whether less would do."""
         check_positive("a scale", scale)
-        return replace(self, factor=self.factor * scale)
+        pairs = None if self.pairs is None else self.pairs * scale
+        certificate = (
+            None if self.certificate is None else replace(self.certificate, scale=self.certificate.scale * scale)
+        )
+        return replace(self, factor=self.factor * scale, pairs=pairs, certificate=certificate)
 
     def tree_flatten(self) -> tuple[tuple[Any], None]:
         """For JAX: the factor is data; edge numbers belong to concrete patches and are left behind."""
@@ -89,13 +111,16 @@ class Factors:
 def tessellation_factors(
     patches: Patches,
     view: View,
-    method: str = "slefe",
+    method: str = "certified",
     *,
+    tiles: int = 2,
+    anisotropic: bool = False,
     segments: Segments = 3,
     tolerance: Number = 0.5,
     depth_tolerance: Number | None = None,
     k: Number = 1.0,
     setting: Number | None = None,
+    pattern: Pattern | None = None,
     edge_numbers: Int[np.ndarray, "patches 4"] | None = None,
 ) -> Factors:
     """How finely each patch must be cut so that pixels are right to within ``tolerance``.
@@ -103,26 +128,33 @@ def tessellation_factors(
     patches         : control points ``(patches, du+1, dv+1, 3)``, u before v, any bi-degree; 4 at the end if rational,
                       (w x, w y, w z, w) with positive weights
     view            : camera and picture size
-    method          : ``"slefe"``, the estimate of the papers: k m sqrt(w / tolerance), with w the width in pixels of
+    method          : ``"certified"``, a bound with a proof (docs/certified.md): cut uniformly by any whole number from
+                      ``.factor`` on, and as ``.inner`` and ``.edges`` say, every visible point of the patch keeps the
+                      tolerance.
+                      ``"slefe"``, the estimate of the papers: k m sqrt(w / tolerance), with w the width in pixels of
                       the slefe boxes on the screen (2012, eq 7 to 10; animation paper, eq 7). It is not a bound.
                       For rational patches w is the width of the slefe of X - s W over W (MATH.md, section 6).
                       The rules of ``slefejax.rules``: ``"filip"`` (a bound), ``"minmax"``, ``"edge-length"``,
                       ``"screen-box"``, ``"fixed"``
+    tiles           : of ``certified``: into how many pieces along u and along v a patch is cut to bound it. More are
+                      tighter and cost more, tiles^2; 1 is the cheapest. Static
+    anisotropic     : of ``certified``: ``.inner`` differs along u and v where that saves triangles
     segments        : m, or (m_u, m_v); static; of ``slefe``
     tolerance       : pixels
-    depth_tolerance : window depth (0 to 1), or None for no depth test; of ``slefe``
+    depth_tolerance : window depth (0 to 1), or None for no depth test; of ``certified`` and ``slefe``
     k               : the constant k_m; of ``slefe``
     setting         : of ``edge-length`` (pixels a piece), ``screen-box`` (mu, pixels), ``fixed`` (the factor);
                       None: 8, 1, 16
+    pattern         : of ``certified``: how the tessellator makes transition rings; None: as Direct3D 11 says
     edge_numbers    : the result of ``shared_edges``, if it is already known
 
     Returns Factors: ``.factor`` (at least 1 on the screen, 0 off it), ``.inner`` and ``.edges``.
-    Only tiles whose boxes reach into the view volume count. Where a box touches or lies behind the near plane it is
-    measured as if it lay in it, which is as near as anything is drawn; nothing is divided by a smaller W.
+    ``slefe``: only tiles whose boxes reach into the view volume count; where a box touches or lies behind the near plane
+    it is measured as if it lay in it, which is as near as anything is drawn; nothing is divided by a smaller W.
     Differentiable by patches, camera, tolerance and k.
 
-    Raises InputError for wrong shapes, control points that are not finite (with the patch's number), segments < 1,
-    or a tolerance or k that is not positive.
+    Raises InputError for wrong shapes, control points that are not finite (with the patch's number), segments or tiles
+    < 1, or a tolerance or k that is not positive.
 
     >>> from slefejax import Camera, load
     >>> scene = load("teapot")
@@ -133,6 +165,10 @@ def tessellation_factors(
     patches = check_patches(patches)
     check_weights(patches)
     _check_method(method, patches.shape[3], depth_tolerance, setting)
+    if not is_whole(tiles, 1):
+        raise InputError(f"tiles must be a whole number of at least 1, not {tiles!r}")
+    if method != "certified" and (anisotropic or pattern is not None):
+        raise InputError(f"method {method!r} knows no {'anisotropic' if anisotropic else 'pattern'}: 'certified' does")
     check_positive("tolerance", tolerance)
     check_positive("k", k)
     if depth_tolerance is not None:
@@ -142,22 +178,36 @@ def tessellation_factors(
     dtype = jax.dtypes.canonicalize_dtype(patches.dtype)
     projection = jax.tree.map(partial(jnp.asarray, dtype=dtype), Projection.of(view))
     packed = jnp.asarray(layout.pack(patches))
-    if method == "slefe":
-        numbers: tuple[Any, ...] = (tolerance, depth_tolerance, k)
+    if method == "certified":
+        numbers: tuple[Any, ...] = (tolerance, depth_tolerance)
+    elif method == "slefe":
+        numbers = (tolerance, depth_tolerance, k)
     else:
         numbers = (tolerance, SETTINGS.get(method) if setting is None else setting)
-    scales = [None if x is None else jnp.asarray(x, dtype) for x in numbers]
-    chunks = _factors_jit(packed, projection, scales, method, segment_pair(segments))
-    factor = layout.unpack(chunks, len(patches))
+    scales = tuple(None if x is None else jnp.asarray(x, dtype) for x in numbers)
+    fineness = int(tiles) if method == "certified" else segment_pair(segments) if method == "slefe" else None
+    factor = layout.unpack(_factors_jit(packed, projection, scales, method, fineness), len(patches))
     if isinstance(factor, Tracer):
+        if anisotropic:
+            raise InputError("pairs of levels are whole numbers: ask for anisotropic=True outside of jit and grad")
         return Factors(factor, known=edge_numbers)
     _check_result(np.asarray(factor), np.asarray(patches))
-    return Factors(factor, patches, edge_numbers)
+    if method != "certified":
+        return Factors(factor, patches, edge_numbers)
+    concrete = np.asarray(patches, dtype)
+    certificate = Certificate(concrete, projection, scales, int(tiles), pattern or direct3d11())
+    pairs = certificate.pairs() if anisotropic else None
+    return Factors(factor, patches, edge_numbers, pairs, certificate)
 
 
 @jax.jit(static_argnums=(3, 4))
-def _factors_jit(packed: Any, projection: Projection, scales: list, method: str, segments: tuple[int, int]) -> Any:
-    kernel = partial(slefe_factor, segments=segments) if method == "slefe" else _seen(RULES[method])
+def _factors_jit(packed: Any, projection: Projection, scales: tuple, method: str, fineness: Any) -> Any:
+    if method == "certified":
+        kernel = partial(certified_factor, tiles=fineness)
+    elif method == "slefe":
+        kernel = partial(slefe_factor, segments=fineness)
+    else:
+        kernel = _seen(RULES[method])
     return layout.over_chunks(_unless_bad(kernel), packed, projection, *scales)
 
 
@@ -175,7 +225,7 @@ def _check_method(method: str, dimension: int, depth_tolerance: Any, setting: An
         raise InputError(f"there is no method {method!r}: choose one of {', '.join(METHODS)}")
     if method == "filip" and dimension == 4:
         raise InputError("method 'filip' bounds polynomial patches, (patches, du+1, dv+1, 3): these are rational")
-    if depth_tolerance is not None and method != "slefe":
+    if depth_tolerance is not None and method not in ("certified", "slefe"):
         raise InputError(f"method {method!r} knows no depth_tolerance")
     if setting is not None:
         if method not in SETTINGS:

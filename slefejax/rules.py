@@ -35,8 +35,7 @@ def filip(control: Control, projection: Projection, tolerance: Any, setting: Any
     for first, d in ((jnp.diff(by_u, axis=0), du), (jnp.diff(by_v, axis=1), dv)):
         reach = reach + (d * (d - 1) * _longest(first) if d > 1 else 0.0)
     rows = projection.to_pixels
-    half = _half_picture(projection)
-    steepness = [_norm(rows[r, :3]) + half[r] * _norm(rows[3, :3]) for r in (0, 1)]
+    steepness = [_norm(rows[r, :3]) + projection.half[r] * _norm(rows[3, :3]) for r in (0, 1)]
     w = jnp.min(_undivided(control, projection)[3], axis=(0, 1))
     pixels = jnp.maximum(*steepness) / jnp.maximum(w, projection.near_w) * reach / 8.0
     return jnp.sqrt(jnp.maximum(pixels / tolerance, 1.0))
@@ -105,11 +104,3 @@ def _longest(vectors: Any) -> Any:
 
 def _norm(vector: Any) -> Any:
     return jnp.sqrt(jnp.sum(vector**2))
-
-
-def _half_picture(projection: Projection) -> tuple[Any, Any]:
-    """Half the width and height in pixels: the right plane is the left one's X reflected in it."""
-    left, right, bottom, top = projection.frustum[:4]
-    w = projection.to_pixels[3]
-    at = jnp.argmax(jnp.abs(w))
-    return 0.5 * ((left + right)[at] / w[at]), 0.5 * ((bottom + top)[at] / w[at])

@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 # Each layer may import itself and those before it.
 LAYERS = [
     {"errors"},
-    {"bezier", "view", "layout", "edges", "tessellator", "slefe_tables", "arguments"},
+    {"bezier", "view", "layout", "edges", "tessellator", "slefe_tables", "arguments", "rings"},
     {
         "slefe",
         "bspline",
@@ -22,6 +22,7 @@ LAYERS = [
         "optimum",
         "rivals",
         "estimate",
+        "certified",
         "rules",
         "supremum",
         "triangles",
@@ -29,7 +30,7 @@ LAYERS = [
         "io",
         "data",
     },
-    {"factors", "minimal", "covering"},
+    {"certificate", "factors", "minimal", "covering"},
     {"scene", "testing"},
 ]
 ANALYSIS = set().union(*LAYERS)

@@ -1,0 +1,333 @@
+"""A tessellation factor with a proof: docs/certified.md has the theorem, and the letters that are used here.
+
+Kernels run with the patches along the last axis (``slefejax.layout``), one array ``(lanes,)`` a coefficient: a net is
+a list along u of lists along v of such arrays. On the CPU that is tens of times faster than larger arrays. The compiler
+makes one loop of everything between two divisions or roots, and repeats what several loops need, so there are few.
+"""
+
+from __future__ import annotations
+
+from functools import reduce
+from itertools import pairwise
+from math import comb
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from slefejax.bezier import restrict
+from slefejax.estimate import Projection, larger, smaller
+
+Lanes = Any  # (lanes,)
+Net = list[list[Lanes]]
+Extent = tuple[Any, Any]  # sides of the box that holds a triangle, in units of 1/n, along u and v
+
+_CUBIC = 1.0 / (12.0 * 27.0**0.5)  # the largest (1 - z^2) z / 24
+_THIRD = ((3, 0, 1.0), (2, 1, 3.0), (1, 2, 3.0), (0, 3, 1.0))  # d/du, d/dv, multiplicity
+_ROUNDING = 16.0  # a coefficient of a tile is wrong by at most half of this, in eps of the sum of its terms' sizes
+_FOURTH = ((4, 0, 1.0), (3, 1, 4.0), (2, 2, 6.0), (1, 3, 4.0), (0, 4, 1.0))
+
+
+def certified_factor(
+    control: Float[Array, "nu nv dim lanes"],
+    projection: Projection,
+    tolerance: Any,
+    depth_tolerance: Any,
+    extent: Extent = (1.0, 1.0),
+    *,
+    tiles: int,
+    any_triangle: bool = False,
+) -> Float[Array, "lanes"]:
+    """A real n >= 1 from which on the bound of docs/certified.md is at most the tolerance; 0 for an unseen patch.
+
+    For n and every larger number the bound holds for all triangles that lie in a box of sides extent/n in the domain
+    and are half of such a box (``any_triangle``: of any shape), wherever they are visible.
+    """
+    screen = Screen.of(control, projection, tolerance, depth_tolerance)
+    whole = Piece.of(screen, screen.rows, screen.w, 1)
+    remainders = [_remainder(row, screen.w, ends, extent) for row, ends in zip(screen.rows, whole.ends, strict=True)]
+    least = _least_square(screen, whole, extent)
+    inverse = 1.0 / jnp.sqrt(least)
+    if tiles == 1:
+        square = _square(screen, whole, remainders, extent, inverse, any_triangle)
+    else:
+        bends = [_largest_sum(net, extent) for net in (*screen.rows[:2], screen.w)]
+
+        def step(largest: Lanes, matrices: tuple[Any, Any]) -> tuple[Lanes, None]:
+            *rows, w = (_restricted(net, *matrices) for net in (*screen.rows, screen.w))
+            piece = Piece.of(screen, rows, w, tiles)
+            square = _square(screen, piece, remainders, extent, inverse, any_triangle)
+            return larger(largest, smaller(square, _last_visible(screen, piece, bends))), None
+
+        matrices = tuple(jnp.asarray(m, control.dtype) for m in _tile_matrices(control.shape[:2], tiles))
+        square, _ = jax.lax.scan(step, jnp.zeros_like(least), matrices)
+    rounded = 1.0 + 64.0 * jnp.finfo(control.dtype).eps
+    return jnp.sqrt(jnp.where(screen.visible, larger(square, least), 1.0)) * jnp.where(screen.visible, rounded, 0.0)
+
+
+class Screen(NamedTuple):
+    """Patches in undivided screen coordinates, each row over its tolerance, and what rounding may have done to them."""
+
+    rows: list[Net]  # X, Y and, if there is a depth tolerance, Z: X/W = 1 is one tolerance from the centre
+    w: Net
+    half: list[Any]  # half the picture's extent for every row
+    floor: Lanes  # W of a visible point is at least this
+    sizes: list[Lanes]  # of the terms that a row's g_s is summed from: its rounding errors are proportional to them
+    w_size: Lanes
+    eps: float
+    visible: Lanes  # not all control points outside of one plane of the view volume
+
+    @staticmethod
+    def of(control: Any, projection: Projection, tolerance: Any, depth_tolerance: Any) -> Screen:
+        """From control points in the world. Unseen patches may be taken for visible ones, never the other way round."""
+        rational = control.shape[2] == 4
+        scales = [1.0 / tolerance, 1.0 / tolerance, 1.0 if depth_tolerance is None else 1.0 / depth_tolerance]
+        half = [extent * scale for extent, scale in zip(projection.half, scales, strict=True)]
+        matrix = [row * scale for row, scale in zip(projection.to_pixels, (*scales, 1.0), strict=True)]
+        x, y, z, w = (_image(control, row) for row in matrix)
+        largest = [_top([jnp.abs(c[a]) for c in _entries(_points(control))]) for a in range(control.shape[2])]
+        largest = largest if rational else [*largest, 1.0]
+        *own, w_size = (sum(jnp.abs(row[a]) * largest[a] for a in range(4)) for row in matrix)
+        sizes = [size + extent * w_size for size, extent in zip(own, half, strict=True)]
+        eps = float(jnp.finfo(control.dtype).eps)
+        visible = None
+        for net, extent, size in zip((x, y, z), half, sizes, strict=True):
+            for sign in (1.0, -1.0):
+                reach = _top([extent * b + sign * a for a, b in zip(_entries(net), _entries(w), strict=True)])
+                inside = reach >= -_ROUNDING * eps * size
+                visible = inside if visible is None else visible & inside
+        weight = _bottom([c[3] for c in _entries(_points(control))]) if rational else jnp.ones_like(largest[0])
+        count = 2 if depth_tolerance is None else 3
+        floor = projection.near_w * weight
+        return Screen([x, y, z][:count], w, half[:count], floor, sizes[:count], w_size, eps, visible)
+
+
+class Piece(NamedTuple):
+    """A patch or a tile of it, and the part of the picture that it can reach."""
+
+    rows: list[Net]
+    w: Net
+    inverse: list[Lanes]  # 1/W of the coefficients, from above
+    widest: Lanes  # the largest of them
+    ends: list[tuple[Lanes, Lanes]]  # of the part of the picture, for every row
+    scale: float  # second derivatives of the patch are these times those of the tile
+
+    @staticmethod
+    def of(screen: Screen, rows: list[Net], w: Net, tiles: int) -> Piece:
+        """Where W may lie below the floor, the floor stands for it, and all of the picture is reached."""
+        error = _ROUNDING * screen.eps
+        safe = [c - error * screen.w_size for c in _entries(w)]
+        deep = _bottom(safe) >= screen.floor
+        inverse = [1.0 / jax.lax.select(deep, c, screen.floor) for c in safe]
+        ends = []
+        for net, half, size in zip(rows, screen.half, screen.sizes, strict=True):
+            limit = jnp.broadcast_to(half, deep.shape)
+            low, high = (
+                _bottom([(sign * c - error * size) * i for c, i in zip(_entries(net), inverse, strict=True)])
+                for sign in (1.0, -1.0)
+            )
+            low, high = (jax.lax.select(deep, x, -limit) for x in (low, high))
+            ends.append((_clip(low, limit), _clip(-high, limit)))
+        return Piece(rows, w, inverse, _top(inverse), ends, float(tiles**2))
+
+
+class Remainder(NamedTuple):
+    """Bounds of the higher derivatives of g_s over a patch."""
+
+    along_u: Lanes  # |g_uuu| e_u^3 + 3 |g_uuv| e_u^2 e_v
+    along_v: Lanes  # |g_vvv| e_v^3 + 3 |g_uvv| e_u e_v^2
+    fourth: Lanes  # over 288
+
+
+def _remainder(row: Net, w: Net, ends: tuple[Lanes, Lanes], extent: Extent) -> Remainder:
+    sums: list[Any] = []
+    for orders in (_THIRD[:2], _THIRD[2:], _FOURTH):
+        total = jnp.zeros_like(ends[0])
+        for i, j, times in orders:
+            own, depth = (_entries(_derivative(net, i, j)) for net in (row, w))
+            if own:
+                shifted = [jnp.abs(_shifted(x, s, y)) for s in ends for x, y in zip(own, depth, strict=True)]
+                total = total + (times * extent[0] ** i * extent[1] ** j) * _top(shifted)
+        sums.append(total)
+    return Remainder(sums[0], sums[1], sums[2] / 288.0)
+
+
+def _least_square(screen: Screen, whole: Piece, extent: Extent) -> Lanes:
+    """The square of what n is at least by the second derivatives at the corners: remainders are taken there.
+
+    Any number >= 1 would do for the proof; one just below n loses least.
+    """
+    depth = _hessian(screen.w, extent)
+    last = len(screen.w[0]) - 1
+    at_corners = []
+    for row in screen.rows:
+        own = _hessian(row, extent)
+        for k in (0, last, len(depth) - 1 - last, len(depth) - 1):
+            s = _entries(row)[k] * whole.inverse[k]
+            at_corners.append(_of_half_cell(*map(_shifted, own[k], (s, s, s), depth[k])) * whole.inverse[k])
+    square = _top(at_corners) / 8.0
+    return larger(square, jnp.ones_like(square))
+
+
+def _square(
+    screen: Screen, piece: Piece, remainders: list[Remainder], extent: Extent, inverse: Lanes, any_triangle: bool
+) -> Lanes:
+    """n^2 at which the bound for the points of a tile is 1, if 1/n is at most ``inverse``."""
+    depth = _hessian(piece.w, extent)
+    bend = _top([_sum_of(h) * i for h, i in zip(depth, piece.inverse, strict=True)])
+    degree = len(piece.w) + len(piece.w[0]) - 2
+    rounding = 2.0 * _ROUNDING * screen.eps * (degree**2 / 8.0 + degree**3 / 24.0 + degree**4 / 72.0)
+    measure = _of_any_triangle if any_triangle else _of_half_cell
+    squares = []
+    for row, ends, remainder, size in zip(piece.rows, piece.ends, remainders, screen.sizes, strict=True):
+        hessian = _hessian(row, extent)
+        values = [
+            measure(*map(_shifted, own, (s, s, s), other)) * i
+            for s in ends
+            for own, other, i in zip(hessian, depth, piece.inverse, strict=True)
+        ]
+        largest = _top(values) * piece.scale
+        more, less = larger(remainder.along_u, remainder.along_v), smaller(remainder.along_u, remainder.along_v)
+        if any_triangle:
+            third = (more + less) / 48.0
+        else:
+            third = _CUBIC * more + less / 288.0
+            largest = larger(largest, less * piece.widest * inverse)
+        rest = (third + remainder.fourth * inverse) * inverse + rounding * size
+        squares.append((largest + bend * piece.scale) / 8.0 + rest * piece.widest)
+    return _top(squares)
+
+
+def _last_visible(screen: Screen, piece: Piece, bends: list[Lanes]) -> Lanes:
+    """n^2 beyond which no triangle of a tile is visible; infinite if there is none.
+
+    A drawn point differs from the exact one by at most bend/(8 n^2) in every row, so it is outside of a plane that all
+    coefficients of the tile are further outside of.
+    """
+    error = _ROUNDING * screen.eps
+    *row_bends, w_bend = bends
+    planes = [(screen.floor - error * screen.w_size - _top(_entries(piece.w)), w_bend)]
+    for net, half, size, bend in zip(piece.rows[:2], screen.half[:2], screen.sizes[:2], row_bends, strict=True):
+        for sign in (1.0, -1.0):
+            reach = _top([half * b + sign * a for a, b in zip(_entries(net), _entries(piece.w), strict=True)])
+            planes.append((-reach - error * size, bend + half * w_bend))
+    last = jnp.full_like(screen.w_size, jnp.inf)
+    for outside, bend in planes:
+        away = outside > 0
+        square = bend / (8.0 * jax.lax.select(away, outside, jnp.ones_like(outside)))
+        last = smaller(last, jax.lax.select(away, square, jnp.full_like(square, jnp.inf)))
+    return last
+
+
+def _largest_sum(net: Net, extent: Extent) -> Lanes:
+    return _top([_sum_of(h) for h in _hessian(net, extent)])
+
+
+def _of_half_cell(a: Any, b: Lanes, c: Any) -> Lanes:
+    """8 times the largest error that a quadratic with this Hessian has on one of the triangles of a unit cell."""
+    twice = 2.0 * jnp.abs(b)
+    if a is None or c is None:
+        return sum((jnp.abs(x) for x in (a, c) if x is not None), twice)
+    return larger(jnp.abs(a + c) + twice, larger(jnp.abs(a), jnp.abs(c)))
+
+
+def _of_any_triangle(a: Any, b: Lanes, c: Any) -> Lanes:
+    """The same, or a little more, for any triangle in the cell: largest |a x^2 + 2 b x y + c y^2|, |x|, |y| <= 1."""
+    b = jnp.abs(b)
+    if a is None or c is None:
+        return sum((jnp.abs(x) for x in (a, c) if x is not None), 2.0 * b)
+    zero, p, q = jnp.zeros_like(b), jnp.abs(a), jnp.abs(c)
+    saddle = b + larger(p + larger(b - q, zero), q + larger(b - p, zero))
+    return jax.lax.select((a > 0) == (c > 0), p + q + 2.0 * b, saddle)
+
+
+def _sum_of(hessian: tuple[Any, Lanes, Any]) -> Lanes:
+    a, b, c = hessian
+    return sum((jnp.abs(x) for x in (a, c) if x is not None), 2.0 * jnp.abs(b))
+
+
+def _shifted(x: Any, s: Lanes, w: Any) -> Any:
+    return None if x is None else x - s * w
+
+
+def _hessian(net: Net, extent: Extent) -> list[tuple[Any, Lanes, Any]]:
+    """(uu, uv, vv) times the extents, coefficients of the net's own degrees; None for one that is identically 0."""
+    parts = []
+    for i, j in ((2, 0), (1, 1), (0, 2)):
+        inner = _derivative(net, i, j)
+        scale = extent[0] ** i * extent[1] ** j
+        if not inner:
+            parts.append([None] * (len(net) * len(net[0])))
+        else:
+            raised = _raised(_transposed(_raised(inner, len(net) - 1)), len(net[0]) - 1)
+            parts.append([c * scale for c in _entries(_transposed(raised))])
+    return list(zip(*parts, strict=True))
+
+
+def _derivative(net: Net, i: int, j: int) -> Net:
+    """Coefficients of the derivative, i times by u and j times by v; empty if it is identically 0 by degree."""
+    for _ in range(i):
+        d = len(net) - 1
+        net = [[d * (b - a) for a, b in zip(*pair, strict=True)] for pair in pairwise(net)]
+    if j and net:
+        return _transposed(_derivative(_transposed(net), j, 0))
+    return net
+
+
+def _raised(net: Net, degree: int) -> Net:
+    """The same polynomial with a higher degree along u."""
+    low = len(net) - 1
+    rows = []
+    for i in range(degree + 1):
+        used = range(max(0, i - degree + low), min(low, i) + 1)
+        shares = [comb(low, k) * comb(degree - low, i - k) / comb(degree, i) for k in used]
+        columns = zip(*(net[k] for k in used), strict=True)
+        rows.append([sum(share * c for share, c in zip(shares, column, strict=True)) for column in columns])
+    return rows
+
+
+def _tile_matrices(shape: tuple[int, int], tiles: int) -> tuple[np.ndarray, np.ndarray]:
+    """Matrices that restrict coefficients to every tile, along u and along v, ``(tiles^2, d+1, d+1)``."""
+    along = [[restrict(np.eye(n), k / tiles, (k + 1) / tiles) for k in range(tiles)] for n in shape]
+    pairs = [(u, v) for u in along[0] for v in along[1]]
+    return np.stack([u for u, _ in pairs]), np.stack([v for _, v in pairs])
+
+
+def _restricted(net: Net, u: Any, v: Any) -> Net:
+    rows = [[sum(u[i, k] * net[k][j] for k in range(len(net))) for j in range(len(net[0]))] for i in range(len(net))]
+    return [[sum(v[j, k] * row[k] for k in range(len(row))) for j in range(len(row))] for row in rows]
+
+
+def _image(control: Any, row: Any) -> Net:
+    """A row of the projection applied to all control points."""
+    last = row[3] if control.shape[2] == 3 else None
+    return [
+        [row[0] * c[0] + row[1] * c[1] + row[2] * c[2] + (row[3] * c[3] if last is None else last) for c in line]
+        for line in _points(control)
+    ]
+
+
+def _points(control: Any) -> list:
+    return [[control[i, j] for j in range(control.shape[1])] for i in range(control.shape[0])]
+
+
+def _entries(net: Net) -> list[Lanes]:
+    return [entry for row in net for entry in row]
+
+
+def _transposed(net: Net) -> Net:
+    return [list(row) for row in zip(*net, strict=True)]
+
+
+def _top(values: list[Lanes]) -> Lanes:
+    return reduce(larger, values)
+
+
+def _bottom(values: list[Lanes]) -> Lanes:
+    return reduce(smaller, values)
+
+
+def _clip(value: Lanes, limit: Lanes) -> Lanes:
+    return larger(smaller(value, limit), -limit)

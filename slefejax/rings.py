@@ -1,0 +1,125 @@
+"""Which triangles a tessellator really makes, and levels that keep all of them in bounds (docs/certified.md).
+
+OpenGL leaves open how the ring of triangles between a patch's inner grid and its subdivided edges is made, and drivers
+place the points of a grid of n cells with 16 bits, so that some cells are wider than 1/n. A ``Pattern`` says how far
+triangles reach. The one that comes with the package is Direct3D 11's, which drivers follow; ``slefejax doctor``
+compares the driver with it, and ``slefejax.gpu.measure_pattern`` measures another one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from slefejax.tessellator import HIGHEST_LEVEL
+
+UNIT = 2**16  # of the table in the file
+_ALONG = (1, 0, 1, 0)  # the inner level along the edges u=0, v=0, u=1, v=1
+
+Pairs = Int[np.ndarray, "patches 2"]
+Edges = Int[np.ndarray, "patches 4"]
+# (patches, sides, widths, lengths) -> whether triangles keep the tolerance that lie in the strip of that width along
+# that side of a patch and are no longer than that; sides in OpenGL's order, widths and lengths in the domain 0 ... 1
+Allowed = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], Bool[np.ndarray, "n"]]
+
+
+@dataclass(frozen=True, eq=False)
+class Pattern:
+    """How far the triangles of a tessellator reach in the domain 0 ... 1.
+
+    cell  : ``(65,)``, the widest cell of an inner grid with n cells, index n
+    reach : ``(65, 65)``, the longest extent along an edge of the triangles between it and the inner grid, for the
+            inner level n along the edge (1 acts as 2) and the edge's own level m, index (n, m)
+    """
+
+    cell: Float[np.ndarray, "n"]
+    reach: Float[np.ndarray, "n m"]
+
+    def cells(self, levels: Int[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+        """The widest cell for levels; 1/n beyond what a tessellator can draw."""
+        drawn = self.cell[np.minimum(levels, HIGHEST_LEVEL)]
+        return np.where(levels <= HIGHEST_LEVEL, drawn, 1.0 / np.maximum(levels, 1))
+
+    def levels_for(self, factors: Float[np.ndarray, "*shape"]) -> Int[np.ndarray, "*shape"]:
+        """The smallest levels whose cells are no wider than 1/factor."""
+        levels = np.ceil(factors).astype(np.int64)
+        while True:
+            wide = (levels > 0) & (self.cells(levels) * factors > 1.0)
+            if not wide.any():
+                return levels
+            levels = levels + wide
+
+
+@cache
+def direct3d11() -> Pattern:
+    """The pattern of Direct3D 11's tessellator."""
+    text = resources.files("slefejax.data").joinpath("direct3d11.csv").read_text()
+    table = np.array([[int(x) for x in line.split(",")] for line in text.splitlines() if not line.startswith("#")])
+    reach = np.zeros((HIGHEST_LEVEL + 1, HIGHEST_LEVEL + 1))
+    cell = np.ones(HIGHEST_LEVEL + 1)
+    cell[2:], reach[2:, 1:] = table[:, 1] / UNIT, table[:, 2:] / UNIT
+    reach[1] = reach[2]
+    return Pattern(cell, reach)
+
+
+def safe_levels(inner: Pairs, numbers: Edges, pattern: Pattern, allowed: Allowed) -> tuple[Pairs, Edges]:
+    """Inner and outer levels, no smaller than ``inner``, with which every triangle of the pattern is allowed.
+
+    inner   : levels whose grids, with cells as wide as the pattern's, keep the tolerance; 0 for a patch off-screen
+    numbers : equal for shared edges (``slefejax.edges``)
+
+    An edge starts at the larger of its neighbours' levels. Where a ring reaches too far, a patch with fewer cells
+    than its edge has pieces gets more cells, and an edge with fewer pieces than the patch has cells gets more pieces.
+    Where both are equal the ring is part of the grid, so this ends. Levels beyond 64 are left as they are: nothing
+    draws them.
+    """
+    inner = inner.copy()
+    levels = np.zeros(numbers.max() + 1, np.int64)
+    np.maximum.at(levels, numbers.ravel(), inner[:, _ALONG].ravel())
+    drawn = np.all(inner > 0, axis=1)
+    patch, side = np.nonzero(np.broadcast_to(drawn[:, None], numbers.shape))
+    while patch.size:
+        failing = _failing(inner, levels[numbers], patch, side, pattern, allowed)
+        patch, side = patch[failing], side[failing]
+        along = np.asarray(_ALONG)[side]
+        n, m = inner[patch, along], levels[numbers[patch, side]]
+        more_cells = (n < m) | (n == 1)
+        np.maximum.at(inner, (patch[more_cells], along[more_cells]), _next_inner(n, m, pattern)[more_cells])
+        np.maximum.at(levels, numbers[patch, side][~more_cells], n[~more_cells])
+        # whoever shares something that has changed is looked at again
+        touched = np.zeros(len(inner), bool)
+        touched[patch] = True
+        touched |= np.isin(numbers, numbers[patch, side][~more_cells]).any(axis=1)
+        patch, side = np.nonzero(np.broadcast_to((drawn & touched)[:, None], numbers.shape))
+    return inner, np.where(drawn[:, None], levels[numbers], 0)
+
+
+def _failing(
+    inner: Pairs, edges: Edges, patch: np.ndarray, side: np.ndarray, pattern: Pattern, allowed: Allowed
+) -> Bool[np.ndarray, "sides"]:
+    """Which rings hold a triangle that is not allowed."""
+    along = np.asarray(_ALONG)[side]
+    n, m, across = inner[patch, along], edges[patch, side], inner[patch, 1 - along]
+    plain = np.all(inner[patch] == 1, axis=1) & np.all(edges[patch] == 1, axis=1)
+    open_ones = np.flatnonzero(((n != m) | (n == 1)) & ~plain & (np.maximum(n, m) <= HIGHEST_LEVEL))
+    failing = np.zeros(len(patch), bool)
+    if open_ones.size:
+        width = pattern.cells(np.maximum(across[open_ones], 2))
+        length = pattern.reach[n[open_ones], m[open_ones]]
+        failing[open_ones] = ~allowed(patch[open_ones], side[open_ones], width, length)
+    return failing
+
+
+def _next_inner(n: np.ndarray, m: np.ndarray, pattern: Pattern) -> np.ndarray:
+    """The next larger n whose ring reaches less far, at most m; at least 2, which is what 1 acts as."""
+    chosen = np.maximum(m, 2)
+    for k in range(len(n)):
+        shorter = np.flatnonzero(pattern.reach[n[k] + 1 : m[k], m[k]] < pattern.reach[n[k], m[k]])
+        if shorter.size:
+            chosen[k] = n[k] + 1 + shorter[0]
+    return chosen
