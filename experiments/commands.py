@@ -6,6 +6,7 @@ from typing import Annotated
 
 from tyro.conf import subcommand
 
+from slefejax.experiments.certify import Certify
 from slefejax.experiments.doctor import Doctor
 from slefejax.experiments.error_time import ErrorTime
 from slefejax.experiments.factors import FactorsOfScene
@@ -16,6 +17,7 @@ from slefejax.experiments.tightness import Tightness
 Command = (
     Annotated[Minimality, subcommand("minimality")]
     | Annotated[FactorsOfScene, subcommand("factors")]
+    | Annotated[Certify, subcommand("certify")]
     | Annotated[ErrorTime, subcommand("error-time")]
     | Annotated[Scaling, subcommand("scaling")]
     | Annotated[Tightness, subcommand("tightness")]

@@ -44,13 +44,14 @@ class Method:
 
 
 METHODS = (
+    Method("certified"),
     *(Method("slefe", segments) for segments in range(1, 7)),
     Method("filip"),
     Method("edge-length", setting=8.0),
     *(Method("screen-box", setting=mu) for mu in (1.0, 2.0, 4.0, 8.0)),
     Method("fixed", setting=16.0),
 )
-PICTURES = ("slefe m=3", "filip", "edge-length 8", "screen-box 1", "screen-box 8", "fixed 16")
+PICTURES = ("certified", "slefe m=3", "filip", "edge-length 8", "screen-box 8", "fixed 16")
 
 
 @dataclass(frozen=True)

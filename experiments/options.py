@@ -81,16 +81,21 @@ class OutputOptions:
 class PredictionOptions:
     """How factors are predicted."""
 
-    method: str = "slefe"
-    """How factors are predicted: slefe (the papers' estimate), filip, minmax, edge-length, screen-box or fixed."""
+    method: str = "certified"
+    """How factors are predicted: certified (a bound with a proof), slefe (the papers' estimate), filip, minmax, edge-length,
+    screen-box or fixed."""
+    tiles: int = 2
+    """Of certified: pieces along each side that a patch is cut into to bound it."""
+    anisotropic: bool = False
+    """Of certified: levels that differ along u and v, where that saves triangles."""
     segments: int = 3
-    """Pieces m of a slefe in each direction."""
+    """Of slefe: pieces m in each direction."""
     tolerance: float = 0.5
     """Error in pixels that is allowed."""
     depth_tolerance: float | None = None
     """Error in window depth (0 to 1) that is allowed; not looked at if not given."""
     k: float = 1.0
-    """The constant k_m."""
+    """Of slefe: the constant k_m."""
     setting: float | None = None
     """Of edge-length: pixels a piece; of screen-box: mu, pixels; of fixed: the factor."""
 
@@ -98,6 +103,8 @@ class PredictionOptions:
         """Keyword arguments for tessellation_factors."""
         return {
             "method": self.method,
+            "tiles": self.tiles,
+            "anisotropic": self.anisotropic,
             "segments": self.segments,
             "tolerance": self.tolerance,
             "depth_tolerance": self.depth_tolerance,

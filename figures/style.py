@@ -23,6 +23,7 @@ FACTOR_MAP = "viridis"
 
 # One colour (Okabe and Ito's, for the colour-blind) and one mark a method, the same in every figure
 METHOD_STYLES: dict[str, dict[str, Any]] = {
+    "certified": {"color": "#009e73", "marker": "*"},
     "slefe": {"color": "#d55e00", "marker": "o"},
     "filip": {"color": "#0072b2", "marker": "s"},
     "convex-hull": {"color": "#009e73", "marker": "^"},

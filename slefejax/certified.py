@@ -7,7 +7,7 @@ makes one loop of everything between two divisions or roots, and repeats what se
 
 from __future__ import annotations
 
-from functools import reduce
+from collections.abc import Callable
 from itertools import pairwise
 from math import comb
 from typing import Any, NamedTuple
@@ -27,7 +27,6 @@ Extent = tuple[Any, Any]  # sides of the box that holds a triangle, in units of 
 _CUBIC = 1.0 / (12.0 * 27.0**0.5)  # the largest (1 - z^2) z / 24
 _THIRD = ((3, 0, 1.0), (2, 1, 3.0), (1, 2, 3.0), (0, 3, 1.0))  # d/du, d/dv, multiplicity
 _ROUNDING = 16.0  # a coefficient of a tile is wrong by at most half of this, in eps of the sum of its terms' sizes
-_FOURTH = ((4, 0, 1.0), (3, 1, 4.0), (2, 2, 6.0), (1, 3, 4.0), (0, 4, 1.0))
 
 
 def certified_factor(
@@ -56,7 +55,8 @@ def certified_factor(
         bends = [_largest_sum(net, extent) for net in (*screen.rows[:2], screen.w)]
 
         def step(largest: Lanes, matrices: tuple[Any, Any]) -> tuple[Lanes, None]:
-            *rows, w = (_restricted(net, *matrices) for net in (*screen.rows, screen.w))
+            u, v = (_entries_of(matrix, least) for matrix in matrices)
+            *rows, w = (_restricted(net, u, v) for net in (*screen.rows, screen.w))
             piece = Piece.of(screen, rows, w, tiles)
             square = _square(screen, piece, remainders, extent, inverse, any_triangle)
             return larger(largest, smaller(square, _last_visible(screen, piece, bends))), None
@@ -86,19 +86,21 @@ class Screen(NamedTuple):
         scales = [1.0 / tolerance, 1.0 / tolerance, 1.0 if depth_tolerance is None else 1.0 / depth_tolerance]
         half = [extent * scale for extent, scale in zip(projection.half, scales, strict=True)]
         matrix = [row * scale for row, scale in zip(projection.to_pixels, (*scales, 1.0), strict=True)]
-        x, y, z, w = (_image(control, row) for row in matrix)
-        largest = [_top([jnp.abs(c[a]) for c in _entries(_points(control))]) for a in range(control.shape[2])]
+        points = _points(control)
+        rows = [[row[a] for a in range(4)] for row in matrix]
+        x, y, z, w = (_image(points, row) for row in rows)
+        largest = [_top([jnp.abs(c[a]) for c in _entries(points)]) for a in range(control.shape[2])]
         largest = largest if rational else [*largest, 1.0]
-        *own, w_size = (sum(jnp.abs(row[a]) * largest[a] for a in range(4)) for row in matrix)
+        *own, w_size = (_sum([jnp.abs(m) * c for m, c in zip(row, largest, strict=True)]) for row in rows)
         sizes = [size + extent * w_size for size, extent in zip(own, half, strict=True)]
         eps = float(jnp.finfo(control.dtype).eps)
-        visible = None
+        inside = []
         for net, extent, size in zip((x, y, z), half, sizes, strict=True):
-            for sign in (1.0, -1.0):
-                reach = _top([extent * b + sign * a for a, b in zip(_entries(net), _entries(w), strict=True)])
-                inside = reach >= -_ROUNDING * eps * size
-                visible = inside if visible is None else visible & inside
-        weight = _bottom([c[3] for c in _entries(_points(control))]) if rational else jnp.ones_like(largest[0])
+            pairs = [(a, extent * b) for a, b in zip(_entries(net), _entries(w), strict=True)]
+            error = _ROUNDING * eps * size
+            inside += [_top([b + a for a, b in pairs]) + error, _top([b - a for a, b in pairs]) + error]
+        visible = _bottom(inside) >= 0
+        weight = _bottom([c[3] for c in _entries(points)]) if rational else jnp.ones_like(largest[0])
         count = 2 if depth_tolerance is None else 3
         floor = projection.near_w * weight
         return Screen([x, y, z][:count], w, half[:count], floor, sizes[:count], w_size, eps, visible)
@@ -118,18 +120,18 @@ class Piece(NamedTuple):
     def of(screen: Screen, rows: list[Net], w: Net, tiles: int) -> Piece:
         """Where W may lie below the floor, the floor stands for it, and all of the picture is reached."""
         error = _ROUNDING * screen.eps
-        safe = [c - error * screen.w_size for c in _entries(w)]
+        w_blur = error * screen.w_size
+        safe = [c - w_blur for c in _entries(w)]
         deep = _bottom(safe) >= screen.floor
         inverse = [1.0 / jax.lax.select(deep, c, screen.floor) for c in safe]
         ends = []
         for net, half, size in zip(rows, screen.half, screen.sizes, strict=True):
             limit = jnp.broadcast_to(half, deep.shape)
-            low, high = (
-                _bottom([(sign * c - error * size) * i for c, i in zip(_entries(net), inverse, strict=True)])
-                for sign in (1.0, -1.0)
-            )
-            low, high = (jax.lax.select(deep, x, -limit) for x in (low, high))
-            ends.append((_clip(low, limit), _clip(-high, limit)))
+            blur = error * size
+            places = [(c, i) for c, i in zip(_entries(net), inverse, strict=True)]
+            low = jax.lax.select(deep, _bottom([(c - blur) * i for c, i in places]), -limit)
+            high = jax.lax.select(deep, _top([(c + blur) * i for c, i in places]), limit)
+            ends.append((_clip(low, limit), _clip(high, limit)))
         return Piece(rows, w, inverse, _top(inverse), ends, float(tiles**2))
 
 
@@ -142,16 +144,17 @@ class Remainder(NamedTuple):
 
 
 def _remainder(row: Net, w: Net, ends: tuple[Lanes, Lanes], extent: Extent) -> Remainder:
-    sums: list[Any] = []
-    for orders in (_THIRD[:2], _THIRD[2:], _FOURTH):
-        total = jnp.zeros_like(ends[0])
-        for i, j, times in orders:
-            own, depth = (_entries(_derivative(net, i, j)) for net in (row, w))
-            if own:
-                shifted = [jnp.abs(_shifted(x, s, y)) for s in ends for x, y in zip(own, depth, strict=True)]
-                total = total + (times * extent[0] ** i * extent[1] ** j) * _top(shifted)
-        sums.append(total)
-    return Remainder(sums[0], sums[1], sums[2] / 288.0)
+    """The fourth derivatives are differences of the third, times a degree: bounded by twice as much."""
+    tops = []
+    for i, j, times in _THIRD:
+        own, depth = (_entries(_derivative(net, i, j)) for net in (row, w))
+        shifted = [jnp.abs(_shifted(x, s, y)) for s in ends for x, y in zip(own, depth, strict=True)]
+        scale = times * extent[0] ** i * extent[1] ** j
+        tops.append(scale * _top(shifted) if shifted else jnp.zeros_like(ends[0]))
+    (uuu, uuv, uvv, vvv), du, dv = tops, len(row) - 1, len(row[0]) - 1
+    by_u = max(du - 3, 0) * uuu + (4 * (du - 2) * extent[0] / 3 + (dv - 1) * extent[1]) * uuv
+    by_v = max(dv - 3, 0) * vvv + (4 * (dv - 2) * extent[1] / 3 + (du - 1) * extent[0]) * uvv
+    return Remainder(uuu + uuv, vvv + uvv, (by_u + by_v) / 144.0)
 
 
 def _least_square(screen: Screen, whole: Piece, extent: Extent) -> Lanes:
@@ -159,16 +162,18 @@ def _least_square(screen: Screen, whole: Piece, extent: Extent) -> Lanes:
 
     Any number >= 1 would do for the proof; one just below n loses least.
     """
-    depth = _hessian(screen.w, extent)
-    last = len(screen.w[0]) - 1
-    at_corners = []
+    across, last = len(screen.w[0]), len(whole.inverse) - 1
+    corners = ((0, 0, 0), (0, -1, across - 1), (-1, 0, last - across + 1), (-1, -1, last))
+    square = jnp.ones_like(whole.widest)
+    depth = _plain_hessian(screen.w, extent)
     for row in screen.rows:
-        own = _hessian(row, extent)
-        for k in (0, last, len(depth) - 1 - last, len(depth) - 1):
-            s = _entries(row)[k] * whole.inverse[k]
-            at_corners.append(_of_half_cell(*map(_shifted, own[k], (s, s, s), depth[k])) * whole.inverse[k])
-    square = _top(at_corners) / 8.0
-    return larger(square, jnp.ones_like(square))
+        own = _plain_hessian(row, extent)
+        for i, j, k in corners:
+            inverse = whole.inverse[k]
+            s = row[i][j] * inverse
+            value = [None if not x else x[i][j] - s * y[i][j] for x, y in zip(own, depth, strict=True)]
+            square = larger(square, _of_half_cell(*value) * inverse / 8.0)
+    return square
 
 
 def _square(
@@ -210,8 +215,8 @@ def _last_visible(screen: Screen, piece: Piece, bends: list[Lanes]) -> Lanes:
     *row_bends, w_bend = bends
     planes = [(screen.floor - error * screen.w_size - _top(_entries(piece.w)), w_bend)]
     for net, half, size, bend in zip(piece.rows[:2], screen.half[:2], screen.sizes[:2], row_bends, strict=True):
-        for sign in (1.0, -1.0):
-            reach = _top([half * b + sign * a for a, b in zip(_entries(net), _entries(piece.w), strict=True)])
+        pairs = [(a, half * b) for a, b in zip(_entries(net), _entries(piece.w), strict=True)]
+        for reach in (_top([b + a for a, b in pairs]), _top([b - a for a, b in pairs])):
             planes.append((-reach - error * size, bend + half * w_bend))
     last = jnp.full_like(screen.w_size, jnp.inf)
     for outside, bend in planes:
@@ -222,22 +227,24 @@ def _last_visible(screen: Screen, piece: Piece, bends: list[Lanes]) -> Lanes:
 
 
 def _largest_sum(net: Net, extent: Extent) -> Lanes:
-    return _top([_sum_of(h) for h in _hessian(net, extent)])
+    """At least the largest |uu| + 2 |uv| + |vv|, each over its own coefficients."""
+    tops = [_top([jnp.abs(c) for c in _entries(part)]) if part else None for part in _plain_hessian(net, extent)]
+    return _sum_of((tops[0], tops[1], tops[2]))
 
 
 def _of_half_cell(a: Any, b: Lanes, c: Any) -> Lanes:
     """8 times the largest error that a quadratic with this Hessian has on one of the triangles of a unit cell."""
-    twice = 2.0 * jnp.abs(b)
     if a is None or c is None:
-        return sum((jnp.abs(x) for x in (a, c) if x is not None), twice)
+        return _sum_of((a, b, c))
+    twice = jnp.abs(b + b)
     return larger(jnp.abs(a + c) + twice, larger(jnp.abs(a), jnp.abs(c)))
 
 
 def _of_any_triangle(a: Any, b: Lanes, c: Any) -> Lanes:
     """The same, or a little more, for any triangle in the cell: largest |a x^2 + 2 b x y + c y^2|, |x|, |y| <= 1."""
-    b = jnp.abs(b)
     if a is None or c is None:
-        return sum((jnp.abs(x) for x in (a, c) if x is not None), 2.0 * b)
+        return _sum_of((a, b, c))
+    b = jnp.abs(b)
     zero, p, q = jnp.zeros_like(b), jnp.abs(a), jnp.abs(c)
     saddle = b + larger(p + larger(b - q, zero), q + larger(b - p, zero))
     return jax.lax.select((a > 0) == (c > 0), p + q + 2.0 * b, saddle)
@@ -245,32 +252,32 @@ def _of_any_triangle(a: Any, b: Lanes, c: Any) -> Lanes:
 
 def _sum_of(hessian: tuple[Any, Lanes, Any]) -> Lanes:
     a, b, c = hessian
-    return sum((jnp.abs(x) for x in (a, c) if x is not None), 2.0 * jnp.abs(b))
+    return _sum([jnp.abs(b + b), *(jnp.abs(x) for x in (a, c) if x is not None)])
 
 
 def _shifted(x: Any, s: Lanes, w: Any) -> Any:
     return None if x is None else x - s * w
 
 
+def _plain_hessian(net: Net, extent: Extent) -> list[Net]:
+    """uu, uv, vv times the extents, each of its own degree; empty for one that is identically 0."""
+    return [_scaled(_derivative(net, i, j), extent[0] ** i * extent[1] ** j) for i, j in ((2, 0), (1, 1), (0, 2))]
+
+
 def _hessian(net: Net, extent: Extent) -> list[tuple[Any, Lanes, Any]]:
     """(uu, uv, vv) times the extents, coefficients of the net's own degrees; None for one that is identically 0."""
-    parts = []
-    for i, j in ((2, 0), (1, 1), (0, 2)):
-        inner = _derivative(net, i, j)
-        scale = extent[0] ** i * extent[1] ** j
-        if not inner:
-            parts.append([None] * (len(net) * len(net[0])))
-        else:
-            raised = _raised(_transposed(_raised(inner, len(net) - 1)), len(net[0]) - 1)
-            parts.append([c * scale for c in _entries(_transposed(raised))])
-    return list(zip(*parts, strict=True))
+    columns = []
+    for part in _plain_hessian(net, extent):
+        raised = _transposed(_raised(_transposed(_raised(part, len(net) - 1)), len(net[0]) - 1)) if part else []
+        columns.append(_entries(raised) or [None] * (len(net) * len(net[0])))
+    return list(zip(*columns, strict=True))
 
 
 def _derivative(net: Net, i: int, j: int) -> Net:
     """Coefficients of the derivative, i times by u and j times by v; empty if it is identically 0 by degree."""
     for _ in range(i):
         d = len(net) - 1
-        net = [[d * (b - a) for a, b in zip(*pair, strict=True)] for pair in pairwise(net)]
+        net = _scaled([[b - a for a, b in zip(*pair, strict=True)] for pair in pairwise(net)], d)
     if j and net:
         return _transposed(_derivative(_transposed(net), j, 0))
     return net
@@ -283,8 +290,8 @@ def _raised(net: Net, degree: int) -> Net:
     for i in range(degree + 1):
         used = range(max(0, i - degree + low), min(low, i) + 1)
         shares = [comb(low, k) * comb(degree - low, i - k) / comb(degree, i) for k in used]
-        columns = zip(*(net[k] for k in used), strict=True)
-        rows.append([sum(share * c for share, c in zip(shares, column, strict=True)) for column in columns])
+        parts = [_scaled([net[k]], share)[0] for k, share in zip(used, shares, strict=True)]
+        rows.append([_sum(list(column)) for column in zip(*parts, strict=True)])
     return rows
 
 
@@ -295,22 +302,37 @@ def _tile_matrices(shape: tuple[int, int], tiles: int) -> tuple[np.ndarray, np.n
     return np.stack([u for u, _ in pairs]), np.stack([v for _, v in pairs])
 
 
-def _restricted(net: Net, u: Any, v: Any) -> Net:
-    rows = [[sum(u[i, k] * net[k][j] for k in range(len(net))) for j in range(len(net[0]))] for i in range(len(net))]
-    return [[sum(v[j, k] * row[k] for k in range(len(row))) for j in range(len(row))] for row in rows]
+def _entries_of(matrix: Any, like: Lanes) -> list[list[Lanes]]:
+    return [[jnp.broadcast_to(x, like.shape) for x in row] for row in matrix]
 
 
-def _image(control: Any, row: Any) -> Net:
+def _restricted(net: Net, u: list[list[Lanes]], v: list[list[Lanes]]) -> Net:
+    columns = _transposed(net)
+    rows = [[_sum([a * c for a, c in zip(line, column, strict=True)]) for column in columns] for line in u]
+    return [[_sum([a * c for a, c in zip(line, row, strict=True)]) for line in v] for row in rows]
+
+
+def _image(points: list, row: list) -> Net:
     """A row of the projection applied to all control points."""
-    last = row[3] if control.shape[2] == 3 else None
     return [
-        [row[0] * c[0] + row[1] * c[1] + row[2] * c[2] + (row[3] * c[3] if last is None else last) for c in line]
-        for line in _points(control)
+        [_sum([m * x for m, x in zip(row, c, strict=False)] + ([row[3]] if len(c) == 3 else [])) for c in line]
+        for line in points
     ]
 
 
+def _scaled(net: Net, factor: Any) -> Net:
+    return net if isinstance(factor, (int, float)) and factor == 1 else [[c * factor for c in row] for row in net]
+
+
+def _sum(values: list[Any]) -> Any:
+    total = values[0]
+    for value in values[1:]:
+        total = total + value
+    return total
+
+
 def _points(control: Any) -> list:
-    return [[control[i, j] for j in range(control.shape[1])] for i in range(control.shape[0])]
+    return [[list(control[i, j]) for j in range(control.shape[1])] for i in range(control.shape[0])]
 
 
 def _entries(net: Net) -> list[Lanes]:
@@ -322,11 +344,20 @@ def _transposed(net: Net) -> Net:
 
 
 def _top(values: list[Lanes]) -> Lanes:
-    return reduce(larger, values)
+    return _tree(larger, values)
 
 
 def _bottom(values: list[Lanes]) -> Lanes:
-    return reduce(smaller, values)
+    return _tree(smaller, values)
+
+
+def _tree(choose: Callable[[Lanes, Lanes], Lanes], values: list[Lanes]) -> Lanes:
+    """All values in pairs, the results in pairs, ...: compiles faster than one after the other."""
+    while len(values) > 1:
+        values = [choose(*pair) for pair in zip(values[::2], values[1::2], strict=False)] + values[
+            len(values) // 2 * 2 :
+        ]
+    return values[0]
 
 
 def _clip(value: Lanes, limit: Lanes) -> Lanes:

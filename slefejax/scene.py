@@ -11,6 +11,15 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from slefejax.bezier import elevate
+from slefejax.data.small import (
+    QUAD_EYE,
+    QUAD_TARGET,
+    STEEP_EYE,
+    STEEP_FOV,
+    STEEP_TARGET,
+    steep_patch,
+    twisted_quad,
+)
 from slefejax.data.teapot import EYE, TARGET, teapot
 from slefejax.edges import shared_edges
 from slefejax.errors import InputError
@@ -52,7 +61,8 @@ class Scene:
 
 
 def load(path: str | Path) -> Scene:
-    """A scene from a file (``.bpt``) or by its built-in name (``"teapot"``).
+    """A scene from a file (``.bpt``) or by its built-in name (``"teapot"``, ``"twisted-quad"``,
+    ``"steep-patch"``).
 
     Patches of different degrees are raised to the highest ones, which leaves their shape as it is; the scene's notes
     say so. Raises InputError for a file that is missing, of an unknown kind, or not what its name says.
@@ -91,5 +101,17 @@ def _teapot() -> Scene:
     return Scene("teapot", teapot(), Camera.look_at(EYE, TARGET))
 
 
+def _twisted_quad() -> Scene:
+    return Scene("twisted-quad", twisted_quad(), Camera.look_at(QUAD_EYE, QUAD_TARGET, up=(0.0, 1.0, 0.0)))
+
+
+def _steep_patch() -> Scene:
+    return Scene("steep-patch", steep_patch(), Camera.look_at(STEEP_EYE, STEEP_TARGET, fov_y=STEEP_FOV, near=0.05))
+
+
 READERS: dict[str, Callable[[Path], list[np.ndarray]]] = {".bpt": read_bpt}
-BUILT_IN: dict[str, Callable[[], Scene]] = {"teapot": _teapot}
+BUILT_IN: dict[str, Callable[[], Scene]] = {
+    "teapot": _teapot,
+    "twisted-quad": _twisted_quad,
+    "steep-patch": _steep_patch,
+}

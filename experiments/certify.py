@@ -1,0 +1,170 @@
+"""Does the certified factor hold, where does the published estimate fail, and what does the proof cost?"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import jax
+import numpy as np
+import tyro
+
+from slefejax import Factors, Scene, View, load, minimal_factors, sampled_error, tessellation_factors, triangle_error
+from slefejax.error import pixel_error
+from slefejax.errors import InputError
+from slefejax.experiments.options import OutputOptions, ViewOptions, camera_record, check_count
+from slefejax.experiments.report import Report, progress
+from slefejax.experiments.store import Row, Run, digest
+from slefejax.figures.certify import write_certify_figure
+from slefejax.figures.error_image import write_error_image
+from slefejax.gpu import Renderer, open_device
+from slefejax.tessellator import HIGHEST_LEVEL, triangle_counts
+
+METHODS = ("certified", "slefe", "filip")
+_REPEATS = 7
+
+
+@dataclass(frozen=True)
+class Certify:
+    """Patch by patch: the certified factor, the largest error that it and the published estimate lead to, the slack."""
+
+    scenes: tyro.conf.Positional[tuple[str, ...]]
+    """Files (.bpt), or teapot, twisted-quad, steep-patch."""
+    tiles: int = 2
+    """Pieces along each side that a patch is cut into to bound it; more are tighter and slower."""
+    anisotropic: bool = False
+    """Levels that differ along u and v, where that saves triangles."""
+    segments: int = 3
+    """Of the published estimate: pieces m in each direction."""
+    tolerance: float = 0.5
+    """Error in pixels that is allowed."""
+    camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
+    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def run(self) -> Report:
+        """Predict by all methods, measure, draw."""
+        if not self.scenes:
+            raise InputError("name at least one scene: a file, teapot, twisted-quad or steep-patch")
+        check_count("--tiles", self.tiles)
+        scenes = [load(name) for name in self.scenes]
+        views = [self.camera.view(scene) for scene in scenes]
+        device = open_device()
+        arguments = {**asdict(self), "output": None, "camera": [camera_record(view) for view in views]}
+        inputs = {"scenes": [digest(s.patches().tobytes()) for s in scenes], "opengl": device.renderer}
+        with Run("certify", arguments, self.output.out, inputs) as run:
+            with progress("measuring", len(scenes)) as show:
+                found = run.each(
+                    "scene", list(range(len(scenes))), lambda k: _measure(scenes[k], views[k], self, run, k), show
+                )
+            summary = [row for one in found for row in one["summary"]]
+            rows = [row for one in found for row in one["patches"]]
+            images = [[run.file(picture_name(k, name)) for name in METHODS[:2]] for k in range(len(scenes))]
+            write_certify_figure(run.file("certify.png"), rows, summary, images, self.tolerance)
+            names = " ".join(scene.name for scene in scenes)
+            notes = tuple(note for scene in scenes for note in scene.notes)
+            record = {"scene": names, "notes": notes, "summary": summary, "opengl": {"renderer": device.renderer}}
+            out = run.finish(rows, record)
+        broken = sum(row["sup_error_px"] > self.tolerance or row["drawn_sup_error_px"] > self.tolerance for row in rows)
+        title = f"{names}: certified factors at {self.tolerance:g} px, {broken} of {len(rows)} patches above it"
+        return Report(names, out, rows, title, notes + _sentences(summary), {"summary": summary}, self.output.json)
+
+
+def picture_name(scene: int, method: str) -> str:
+    """File name of an error image; scenes are counted from 0."""
+    return f"error_{scene}_{method}.png"
+
+
+def _predictions(scene: Scene, view: View, options: Certify) -> tuple[dict[str, Factors], dict[str, float]]:
+    """Factors by every method, and the milliseconds they take once compiled; the methods take turns."""
+
+    def predict(method: str) -> Factors:
+        own: dict[str, Any] = {"segments": options.segments}
+        if method == "certified":
+            own = {"tiles": options.tiles}
+        factors = tessellation_factors(
+            scene.patches(), view, method, tolerance=options.tolerance, edge_numbers=scene.edge_numbers, **own
+        )
+        jax.block_until_ready(factors.factor)
+        return factors
+
+    methods = [m for m in METHODS if m != "filip" or scene.patches().shape[-1] == 3]
+    factors, times = {m: predict(m) for m in methods}, {m: [] for m in methods}
+    for _ in range(_REPEATS):
+        for m in methods:
+            start = time.perf_counter()
+            predict(m)
+            times[m].append(time.perf_counter() - start)
+    if options.anisotropic:
+        factors["certified"] = tessellation_factors(
+            scene.patches(),
+            view,
+            tiles=options.tiles,
+            anisotropic=True,
+            tolerance=options.tolerance,
+            edge_numbers=scene.edge_numbers,
+        )
+    return factors, {m: 1e3 * float(np.median(t)) for m, t in times.items()}
+
+
+def _measure(scene: Scene, view: View, options: Certify, run: Run, number: int) -> Row:
+    """One scene: a row a patch, and a row a method; the error images are kept."""
+    patches = scene.patches()
+    factors, milliseconds = _predictions(scene, view, options)
+    minimal = minimal_factors(patches, view, options.tolerance)
+    renderer = Renderer(patches)
+    summary, errors = [], {}
+    for method, own in factors.items():
+        inner, edges = (np.minimum(levels, HIGHEST_LEVEL) for levels in (own.inner, own.edges))
+        uniform = sampled_error(patches, inner, view)
+        drawn = triangle_error(patches, renderer.capture(view, inner, edges), view)
+        seen = renderer.draw(view, inner, edges)
+        pixels = pixel_error(patches, view, seen.u, seen.v, seen.patch)
+        write_error_image(run.file(picture_name(number, method)), pixels)
+        errors[method] = (uniform, drawn)
+        summary.append(
+            {
+                "scene": scene.name,
+                "method": method,
+                "patches": len(patches),
+                "triangles": int(triangle_counts(inner, edges).sum()),
+                "uniform_triangles": int(2 * np.sum(own.levels**2)),
+                "minimal_triangles": int(2 * np.sum(minimal**2)),
+                "capped_patches": int(np.sum(own.inner.max(axis=1) > HIGHEST_LEVEL)),
+                "sup_error_px": float(uniform.max()),
+                "drawn_sup_error_px": float(drawn.max()),
+                "max_error_px": float(np.nanmax(pixels, initial=0.0)),
+                "patches_above": int(np.sum(np.maximum(uniform, drawn) > options.tolerance)),
+                "predict_ms": milliseconds[method],
+            }
+        )
+    renderer.release()
+    certified, slefe = factors["certified"], factors["slefe"]
+    rows = [
+        {
+            "scene": scene.name,
+            "patch": k,
+            "factor": float(certified.factor[k]),
+            "inner_u": int(certified.inner[k, 0]),
+            "inner_v": int(certified.inner[k, 1]),
+            "minimal": int(minimal[k]),
+            "sup_error_px": float(errors["certified"][0][k]),
+            "drawn_sup_error_px": float(errors["certified"][1][k]),
+            "slack_px": options.tolerance - float(max(e[k] for e in errors["certified"])),
+            "slefe_factor": float(slefe.factor[k]),
+            "slefe_sup_error_px": float(errors["slefe"][0][k]),
+            "slefe_drawn_sup_error_px": float(errors["slefe"][1][k]),
+        }
+        for k in range(len(patches))
+    ]
+    return {"patches": rows, "summary": summary}
+
+
+def _sentences(summary: list[Row]) -> tuple[str, ...]:
+    return tuple(
+        f"{row['scene']}, {row['method']}: {row['triangles']:,} triangles ({row['uniform_triangles']:,} without shared"
+        f" edges; minimal {row['minimal_triangles']:,}), largest error {row['sup_error_px']:.3g} px uniform and"
+        f" {row['drawn_sup_error_px']:.3g} px as drawn, {row['patches_above']} of {row['patches']} patches above the"
+        f" tolerance, {row['predict_ms']:.2g} ms"
+        for row in summary
+    )
