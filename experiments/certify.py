@@ -33,6 +33,8 @@ class Certify:
     """Files (.bpt), or teapot, twisted-quad, steep-patch."""
     tiles: int = 2
     """Pieces along each side that a patch is cut into to bound it; more are tighter and slower."""
+    verify: bool = False
+    """Smaller numbers are proved cell by cell, which is slower and tighter."""
     anisotropic: bool = False
     """Levels that differ along u and v, where that saves triangles."""
     segments: int = 3
@@ -81,7 +83,7 @@ def _predictions(scene: Scene, view: View, options: Certify) -> tuple[dict[str, 
     def predict(method: str) -> Factors:
         own: dict[str, Any] = {"segments": options.segments}
         if method == "certified":
-            own = {"tiles": options.tiles}
+            own = {"tiles": options.tiles, "verify": options.verify}
         factors = tessellation_factors(
             scene.patches(), view, method, tolerance=options.tolerance, edge_numbers=scene.edge_numbers, **own
         )
@@ -101,6 +103,7 @@ def _predictions(scene: Scene, view: View, options: Certify) -> tuple[dict[str, 
             view,
             tiles=options.tiles,
             anisotropic=True,
+            verify=options.verify,
             tolerance=options.tolerance,
             edge_numbers=scene.edge_numbers,
         )

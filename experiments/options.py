@@ -82,12 +82,14 @@ class PredictionOptions:
     """How factors are predicted."""
 
     method: str = "certified"
-    """How factors are predicted: certified (a bound with a proof), slefe (the papers' estimate), filip, minmax, edge-length,
-    screen-box or fixed."""
+    """How factors are predicted: certified (a bound with a proof), slefe (the papers' estimate), filip, minmax,
+    edge-length, screen-box or fixed."""
     tiles: int = 2
     """Of certified: pieces along each side that a patch is cut into to bound it."""
     anisotropic: bool = False
     """Of certified: levels that differ along u and v, where that saves triangles."""
+    verify: bool = False
+    """Of certified: smaller numbers are proved cell by cell, which is slower and tighter."""
     segments: int = 3
     """Of slefe: pieces m in each direction."""
     tolerance: float = 0.5
@@ -105,6 +107,7 @@ class PredictionOptions:
             "method": self.method,
             "tiles": self.tiles,
             "anisotropic": self.anisotropic,
+            "verify": self.verify,
             "segments": self.segments,
             "tolerance": self.tolerance,
             "depth_tolerance": self.depth_tolerance,

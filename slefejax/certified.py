@@ -61,7 +61,8 @@ def certified_factor(
             square = _square(screen, piece, remainders, extent, inverse, any_triangle)
             return larger(largest, smaller(square, _last_visible(screen, piece, bends))), None
 
-        matrices = tuple(jnp.asarray(m, control.dtype) for m in _tile_matrices(control.shape[:2], tiles))
+        u, v = _tile_matrices(control.shape[0], control.shape[1], tiles)
+        matrices = (jnp.asarray(u, control.dtype), jnp.asarray(v, control.dtype))
         square, _ = jax.lax.scan(step, jnp.zeros_like(least), matrices)
     rounded = 1.0 + 64.0 * jnp.finfo(control.dtype).eps
     return jnp.sqrt(jnp.where(screen.visible, larger(square, least), 1.0)) * jnp.where(screen.visible, rounded, 0.0)
@@ -295,9 +296,9 @@ def _raised(net: Net, degree: int) -> Net:
     return rows
 
 
-def _tile_matrices(shape: tuple[int, int], tiles: int) -> tuple[np.ndarray, np.ndarray]:
+def _tile_matrices(nu: int, nv: int, tiles: int) -> tuple[np.ndarray, np.ndarray]:
     """Matrices that restrict coefficients to every tile, along u and along v, ``(tiles^2, d+1, d+1)``."""
-    along = [[restrict(np.eye(n), k / tiles, (k + 1) / tiles) for k in range(tiles)] for n in shape]
+    along = [[restrict(np.eye(n), k / tiles, (k + 1) / tiles) for k in range(tiles)] for n in (nu, nv)]
     pairs = [(u, v) for u in along[0] for v in along[1]]
     return np.stack([u for u, _ in pairs]), np.stack([v for _, v in pairs])
 

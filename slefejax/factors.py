@@ -23,6 +23,7 @@ from slefejax.estimate import Projection, slefe_factor
 from slefejax.rings import Pattern, direct3d11
 from slefejax.rules import RULES, SETTINGS, on_screen
 from slefejax.tiles import check_weights
+from slefejax.verified import verified_factors
 from slefejax.view import View
 
 METHODS = ("certified", "slefe", *RULES)
@@ -115,6 +116,7 @@ def tessellation_factors(
     *,
     tiles: int = 2,
     anisotropic: bool = False,
+    verify: bool = False,
     segments: Segments = 3,
     tolerance: Number = 0.5,
     depth_tolerance: Number | None = None,
@@ -139,6 +141,7 @@ def tessellation_factors(
     tiles           : of ``certified``: into how many pieces along u and along v a patch is cut to bound it. More are
                       tighter and cost more, tiles^2; 1 is the cheapest. Static
     anisotropic     : of ``certified``: ``.inner`` differs along u and v where that saves triangles
+    verify          : of ``certified``: smaller whole numbers are proved cell by cell, which is slower and tighter
     segments        : m, or (m_u, m_v); static; of ``slefe``
     tolerance       : pixels
     depth_tolerance : window depth (0 to 1), or None for no depth test; of ``certified`` and ``slefe``
@@ -149,8 +152,8 @@ def tessellation_factors(
     edge_numbers    : the result of ``shared_edges``, if it is already known
 
     Returns Factors: ``.factor`` (at least 1 on the screen, 0 off it), ``.inner`` and ``.edges``.
-    ``slefe``: only tiles whose boxes reach into the view volume count; where a box touches or lies behind the near plane
-    it is measured as if it lay in it, which is as near as anything is drawn; nothing is divided by a smaller W.
+    ``slefe``: only tiles whose boxes reach into the view volume count; where a box touches or lies behind the near
+    plane it is measured as if it lay in it, which is as near as anything is drawn; nothing is divided by a smaller W.
     Differentiable by patches, camera, tolerance and k.
 
     Raises InputError for wrong shapes, control points that are not finite (with the patch's number), segments or tiles
@@ -165,14 +168,8 @@ def tessellation_factors(
     patches = check_patches(patches)
     check_weights(patches)
     _check_method(method, patches.shape[3], depth_tolerance, setting)
-    if not is_whole(tiles, 1):
-        raise InputError(f"tiles must be a whole number of at least 1, not {tiles!r}")
-    if method != "certified" and (anisotropic or pattern is not None):
-        raise InputError(f"method {method!r} knows no {'anisotropic' if anisotropic else 'pattern'}: 'certified' does")
-    check_positive("tolerance", tolerance)
-    check_positive("k", k)
-    if depth_tolerance is not None:
-        check_positive("depth_tolerance", depth_tolerance)
+    asked = {"anisotropic": anisotropic, "verify": verify, "pattern": pattern is not None}
+    _check_numbers(method, asked, tiles, {"tolerance": tolerance, "k": k, "depth_tolerance": depth_tolerance})
     if not isinstance(view, View):
         raise InputError(f"the view must be a slefejax.View (a camera and a picture size), not {type(view).__name__}")
     dtype = jax.dtypes.canonicalize_dtype(patches.dtype)
@@ -188,14 +185,16 @@ def tessellation_factors(
     fineness = int(tiles) if method == "certified" else segment_pair(segments) if method == "slefe" else None
     factor = layout.unpack(_factors_jit(packed, projection, scales, method, fineness), len(patches))
     if isinstance(factor, Tracer):
-        if anisotropic:
-            raise InputError("pairs of levels are whole numbers: ask for anisotropic=True outside of jit and grad")
+        if anisotropic or verify:
+            raise InputError("anisotropic and verify find whole numbers: ask for them outside of jit and grad")
         return Factors(factor, known=edge_numbers)
     _check_result(np.asarray(factor), np.asarray(patches))
     if method != "certified":
         return Factors(factor, patches, edge_numbers)
     concrete = np.asarray(patches, dtype)
-    certificate = Certificate(concrete, projection, scales, int(tiles), pattern or direct3d11())
+    if verify:
+        factor = verified_factors(np.asarray(factor), np.asarray(patches), projection, (scales[0], scales[1]))
+    certificate = Certificate(concrete, projection, (scales[0], scales[1]), int(tiles), pattern or direct3d11())
     pairs = certificate.pairs() if anisotropic else None
     return Factors(factor, patches, edge_numbers, pairs, certificate)
 
@@ -231,6 +230,16 @@ def _check_method(method: str, dimension: int, depth_tolerance: Any, setting: An
         if method not in SETTINGS:
             raise InputError(f"method {method!r} has no setting: {', '.join(SETTINGS)} have one")
         check_positive("setting", setting)
+
+
+def _check_numbers(method: str, asked: dict[str, bool], tiles: Any, positive: dict[str, Any]) -> None:
+    if not is_whole(tiles, 1):
+        raise InputError(f"tiles must be a whole number of at least 1, not {tiles!r}")
+    if method != "certified" and any(asked.values()):
+        raise InputError(f"method {method!r} knows no {max(asked, key=asked.__getitem__)}: 'certified' does")
+    for name, value in positive.items():
+        if value is not None or name != "depth_tolerance":
+            check_positive(name, value)
 
 
 def _unless_bad(kernel: Callable[..., Any]) -> Callable[..., Any]:

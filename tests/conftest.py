@@ -15,7 +15,7 @@ jax.config.update("jax_enable_x64", True)
 
 install_import_hook(
     [f"slefejax.{name}" for name in ("arguments", "bezier", "edges", "error", "layout", "slefe", "tessellator", "view")]
-    + ["slefejax.estimate", "slefejax.scene", "slefejax.slefe_tables", "slefejax.gpu.renderer"],
+    + ["slefejax.estimate", "slefejax.scene", "slefejax.slefe_tables", "slefejax.gpu.renderer", "slefejax.rings"],
     "beartype.beartype",
 )
 

@@ -22,9 +22,9 @@ class Case:
 
 
 def case(seed: int, count: int, *, scale_decades: float = 6.0, weight_decades: float = 6.0) -> Case:
-    """A case of its own for every seed: bi-degrees 1 to 5, every other seed rational, scales and weights over decades."""
+    """A case of its own for every seed: bi-degrees 1 to 5, every other seed rational, scales, weights over decades."""
     rng = np.random.default_rng(seed)
-    degrees = tuple(int(d) for d in rng.integers(1, 6, 2))
+    degrees = (int(rng.integers(1, 6)), int(rng.integers(1, 6)))
     rational = bool(seed % 2)
     looks = VIEWS[seed % len(VIEWS)]
     nets = np.stack([_net(rng, degrees, KINDS[k % len(KINDS)]) for k in range(count)])

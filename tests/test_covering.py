@@ -74,7 +74,7 @@ def test_teapot_gets_better_with_factors(device, teapot):
     renderer = Renderer(teapot.patches(), device)
     finest = np.full((32, 6), 64)
     reference = renderer.draw(large, finest[:, :2], finest[:, 2:])
-    factors = tessellation_factors(teapot.patches(), small)
+    factors = tessellation_factors(teapot.patches(), small, "slefe")
     wrong = []
     for scale in (0.15, 0.4, 1.0):
         scaled = factors.scaled(scale)

@@ -86,7 +86,7 @@ def test_bad_pixels_vanish_as_factors_grow(device, teapot, main_view):
     from slefejax import tessellation_factors
     from slefejax.gpu import Renderer
 
-    factors = tessellation_factors(teapot.patches(), main_view)
+    factors = tessellation_factors(teapot.patches(), main_view, "slefe")
     renderer = Renderer(teapot.patches(), device)
     shares = []
     for scale in (0.25, 0.5, 1.0, 2.0):

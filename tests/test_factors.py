@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -10,6 +11,8 @@ import pytest
 
 from slefejax import Camera, InputError, View, slefe, slefe_table, tessellation_factors
 from slefejax import factors as factors_module
+
+slefe_factors = partial(tessellation_factors, method="slefe")
 
 
 def bounds_by_loops(c, m):
@@ -73,7 +76,7 @@ def factor_by_loops(patch, view, m, tolerance, k=1.0, depth_tolerance=None):
 
 @pytest.mark.parametrize("m", [1, 2, 3, 5])
 def test_against_plain_loops_on_the_teapot(teapot, main_view, m):
-    factor = tessellation_factors(teapot.patches(), main_view, segments=m, tolerance=0.7, k=1.2).factor
+    factor = slefe_factors(teapot.patches(), main_view, segments=m, tolerance=0.7, k=1.2).factor
     wanted = [factor_by_loops(patch, main_view, m, 0.7, 1.2) for patch in teapot.patches()]
     np.testing.assert_allclose(factor, wanted, rtol=1e-9)
 
@@ -88,7 +91,7 @@ def test_against_plain_loops_at_the_border_of_the_screen(degrees, rng):
     ]
     patches[:10] += [40.0, 0, 0]
     patches[..., 1] = np.maximum(patches[..., 1], -3.0)
-    factor = np.asarray(tessellation_factors(patches, view, depth_tolerance=1e-3).factor)
+    factor = np.asarray(slefe_factors(patches, view, depth_tolerance=1e-3).factor)
     wanted = [factor_by_loops(patch, view, 3, 0.5, depth_tolerance=1e-3) for patch in patches]
     np.testing.assert_allclose(factor, wanted, rtol=1e-9)
     assert 0 < np.count_nonzero(factor) < 60
@@ -97,13 +100,13 @@ def test_against_plain_loops_at_the_border_of_the_screen(degrees, rng):
 def test_published_sums(teapot, main_view):
     """MATH.md, section 5: m = 3, k = 1, at 1 and at 1/2 pixel."""
     for tolerance, total in ((1.0, 380.316), (0.5, 537.849)):
-        factors = tessellation_factors(teapot.patches(), main_view, segments=3, tolerance=tolerance)
+        factors = slefe_factors(teapot.patches(), main_view, segments=3, tolerance=tolerance)
         assert float(factors.factor.sum()) == pytest.approx(total, abs=1e-3)
     assert 2 * (factors.levels**2).sum() == 19_874
 
 
 def test_levels_and_edges(teapot, main_view):
-    factors = tessellation_factors(teapot.patches(), main_view)
+    factors = slefe_factors(teapot.patches(), main_view)
     assert np.array_equal(factors.inner, np.ceil(factors.factor)[:, None].astype(int) * [1, 1])
     assert np.all(factors.edges >= factors.levels[:, None])
     for numbers in np.unique(factors.edge_numbers):
@@ -117,7 +120,7 @@ def test_linear_patches_need_one_piece_and_invisible_ones_none():
     square = np.array([[[0, 0, 0], [0, 0, 1]], [[1, 0, 0], [1, 0, 1]]], float)
     view = View(Camera.look_at((0, -5, 0), (0, 0, 0)), 100, 100)
     patches = np.stack([square, square + [0, -20, 0], square + [200, 0, 0], square + [0, 500, 0]])
-    factors = tessellation_factors(patches, view)
+    factors = slefe_factors(patches, view)
     assert factors.factor.tolist() == [1.0, 0.0, 0.0, 0.0], "in front, behind, beside, beyond far"
     assert factors.edges.tolist() == [[1, 1, 1, 1], [0] * 4, [0] * 4, [0] * 4]
 
@@ -129,27 +132,27 @@ def test_neighbour_off_screen_leaves_the_edge_to_the_visible_one(rng):
     seen = across + rng.normal(size=(4, 4, 3)) * 0.3
     hidden = seen[-1:] + across + rng.normal(size=(4, 4, 3)) * 0.1
     hidden[0] = seen[-1]
-    factors = tessellation_factors(np.stack([seen, hidden]), view)
+    factors = slefe_factors(np.stack([seen, hidden]), view)
     assert factors.edge_numbers[0, 2] == factors.edge_numbers[1, 0]
     assert factors.levels[0] > 1
     assert factors.levels[1] == 0
     assert factors.edges.tolist() == [[factors.levels[0]] * 4, [0] * 4]
     wider = View(Camera.look_at((6, -30, 0), (6, 0, 0)), 1000, 1000)
-    assert tessellation_factors(np.stack([seen, hidden]), wider).levels.min() > 1, "and both are drawn from afar"
+    assert slefe_factors(np.stack([seen, hidden]), wider).levels.min() > 1, "and both are drawn from afar"
 
 
 def test_near_plane_rule_does_not_depend_on_left_and_right(rng):
     """A mirrored scene in a mirrored view has the same factors, where patches cross the near plane too."""
     view = View(Camera.look_at((0, 0, 0), (0, 1, 0)), 640, 480)
     patches = rng.normal(size=(200, 4, 4, 3))
-    straight, mirrored = (np.asarray(tessellation_factors(patches * [s, 1, 1], view).factor) for s in (1, -1))
+    straight, mirrored = (np.asarray(slefe_factors(patches * [s, 1, 1], view).factor) for s in (1, -1))
     np.testing.assert_allclose(straight, mirrored, rtol=1e-9)
     assert np.count_nonzero(np.any(patches[..., 1] < 0.1, axis=(1, 2)) & (straight > 0)) > 100
 
 
 def test_factors_beyond_all_levels_are_refused(rng):
     near = View(Camera.look_at((0, 0, 0), (0, 1, 0), near=1e-44), 640, 480)
-    factors = tessellation_factors(rng.normal(size=(3, 4, 4, 3)), near)
+    factors = slefe_factors(rng.normal(size=(3, 4, 4, 3)), near)
     with pytest.raises(InputError, match=r"factor of patch \d .* which no tessellation can have"):
         _ = factors.levels
 
@@ -159,7 +162,7 @@ def test_patches_through_the_camera_plane_stay_finite(distance, rng):
     """The eye lies in, or near, the patch; no division by zero, and nearer than the near plane counts as in it."""
     view = View(Camera.look_at((0, -distance, 0), (0, 1, 0)), 640, 480)
     patches = rng.normal(size=(50, 4, 4, 3)) * [2.0, 2.0, 2.0]
-    factor = np.asarray(tessellation_factors(patches, view).factor)
+    factor = np.asarray(slefe_factors(patches, view).factor)
     assert np.all(np.isfinite(factor))
     assert np.all(factor >= 0)
     assert np.any(factor > 1)
@@ -167,17 +170,17 @@ def test_patches_through_the_camera_plane_stay_finite(distance, rng):
 
 def test_two_numbers_of_segments(teapot, main_view):
     patches = teapot.patches()
-    same = tessellation_factors(patches, main_view, segments=(3, 3)).factor
-    assert np.array_equal(same, tessellation_factors(patches, main_view, segments=3).factor)
-    turned = tessellation_factors(np.swapaxes(patches, 1, 2), main_view, segments=(5, 2)).factor
-    straight = tessellation_factors(patches, main_view, segments=(2, 5)).factor
+    same = slefe_factors(patches, main_view, segments=(3, 3)).factor
+    assert np.array_equal(same, slefe_factors(patches, main_view, segments=3).factor)
+    turned = slefe_factors(np.swapaxes(patches, 1, 2), main_view, segments=(5, 2)).factor
+    straight = slefe_factors(patches, main_view, segments=(2, 5)).factor
     # not equal: bounds in v then u are not those in u then v
     np.testing.assert_allclose(turned, straight, rtol=0.1)
 
 
 def test_float32_in_float32_out(teapot, main_view):
-    single = tessellation_factors(teapot.patches().astype(np.float32), main_view).factor
-    double = tessellation_factors(teapot.patches(), main_view).factor
+    single = slefe_factors(teapot.patches().astype(np.float32), main_view).factor
+    double = slefe_factors(teapot.patches(), main_view).factor
     assert single.dtype == np.float32
     np.testing.assert_allclose(single, double, rtol=1e-3)  # SPEED.md: cancellation costs up to 6e-4
 
@@ -188,7 +191,7 @@ def test_gradient_by_points_camera_tolerance_and_k(teapot, main_view, rng):
 
     def total(points, eye, tolerance, k):
         view = View(Camera.look_at(eye, (0.0, 0.0, 1.2)), 1440, 900)
-        return tessellation_factors(points, view, tolerance=tolerance, k=k).factor.sum()
+        return slefe_factors(points, view, tolerance=tolerance, k=k).factor.sum()
 
     at: tuple[Any, ...] = (jnp.asarray(patches), jnp.array([4.5, -6.0, 4.0]), jnp.asarray(0.5), jnp.asarray(1.1))
     gradients = jax.grad(total, argnums=(0, 1, 2, 3))(*at)
@@ -206,7 +209,7 @@ def test_gradients_of_flat_and_hidden_patches_are_zero_not_nan():
     flat[0, :, :, 0], flat[0, :, :, 2] = np.meshgrid(np.arange(4.0), np.arange(4.0), indexing="ij")
     view = View(Camera.look_at((1, -9, 1), (1, 0, 1)), 100, 100)
     for patches in (flat, flat + [0, -50, 0], np.zeros((1, 4, 4, 3))):
-        gradient = jax.grad(lambda p: tessellation_factors(p, view).factor.sum())(jnp.asarray(patches))
+        gradient = jax.grad(lambda p: slefe_factors(p, view).factor.sum())(jnp.asarray(patches))
         assert not np.any(gradient)
 
 
@@ -216,15 +219,15 @@ def test_one_compilation_a_configuration(teapot, main_view):
     for angle in np.linspace(0, 1, 5):
         view = View(Camera.look_at((6 * np.cos(angle), 6 * np.sin(angle), 3), (0, 0, 1)), 800, 600)
         for count in (20, 25, 32):
-            tessellation_factors(teapot.patches()[:count], view, tolerance=0.3 + angle)
+            slefe_factors(teapot.patches()[:count], view, tolerance=0.3 + angle)
     assert compiled._cache_size() == 1
-    tessellation_factors(teapot.patches(), main_view, segments=2)
+    slefe_factors(teapot.patches(), main_view, segments=2)
     assert compiled._cache_size() == 2
 
 
 def test_tracing_gives_factors_but_no_edges(teapot, main_view):
-    factors = jax.jit(lambda p: tessellation_factors(p, main_view))(teapot.patches())
-    np.testing.assert_allclose(factors.factor, tessellation_factors(teapot.patches(), main_view).factor, rtol=1e-12)
+    factors = jax.jit(lambda p: slefe_factors(p, main_view))(teapot.patches())
+    np.testing.assert_allclose(factors.factor, slefe_factors(teapot.patches(), main_view).factor, rtol=1e-12)
     with pytest.raises(InputError, match="outside of jit"):
         _ = factors.edges
 
@@ -243,16 +246,16 @@ def test_tracing_gives_factors_but_no_edges(teapot, main_view):
 )
 def test_bad_options(teapot, main_view, options, says):
     with pytest.raises(InputError, match=says):
-        tessellation_factors(teapot.patches(), main_view, **options)
+        slefe_factors(teapot.patches(), main_view, **options)
 
 
 def test_views_and_other_dtypes(teapot, main_view):
     with pytest.raises(InputError, match=r"must be a slefejax\.View"):
-        tessellation_factors(teapot.patches(), main_view.camera)
-    wanted = tessellation_factors(teapot.patches(), main_view).factor
+        slefe_factors(teapot.patches(), main_view.camera)
+    wanted = slefe_factors(teapot.patches(), main_view).factor
     for dtype in (">f8", np.longdouble):
-        assert np.array_equal(tessellation_factors(teapot.patches().astype(dtype), main_view).factor, wanted)
-    assert tessellation_factors(teapot.patches().astype(np.float16), main_view).factor.dtype == np.float32
+        assert np.array_equal(slefe_factors(teapot.patches().astype(dtype), main_view).factor, wanted)
+    assert slefe_factors(teapot.patches().astype(np.float16), main_view).factor.dtype == np.float32
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
@@ -260,12 +263,12 @@ def test_bad_control_points_are_named(teapot, main_view, value):
     patches = teapot.patches().copy()
     patches[[7, 9], 1, 2, 0] = value
     with pytest.raises(InputError, match=r"patch 7 and 1 more .* not finite"):
-        tessellation_factors(patches, main_view)
+        slefe_factors(patches, main_view)
 
 
 def test_overflow_is_named(main_view, rng):
     with pytest.raises(InputError, match="overflows float32"):
-        tessellation_factors(rng.normal(size=(2, 4, 4, 3)).astype(np.float32) * np.float32(1e38), main_view)
+        slefe_factors(rng.normal(size=(2, 4, 4, 3)).astype(np.float32) * np.float32(1e38), main_view)
 
 
 def rational(patches, weights):
@@ -281,12 +284,12 @@ def test_weights_that_are_all_alike_change_nothing_much(teapot, main_view):
     alike = rational(patches, np.full((*patches.shape[:3], 1), 3.0))
     slanted = View(Camera.orthographic((4, -6, 4), (0, 0, 1), height=6.0), 800, 600)
     along = View(Camera.orthographic((0, -6, 1), (0, 0, 1), height=6.0), 800, 600)
-    weighted, plain = (np.asarray(tessellation_factors(p, slanted).factor) for p in (alike, patches))
+    weighted, plain = (np.asarray(slefe_factors(p, slanted).factor) for p in (alike, patches))
     assert np.all(weighted <= plain * (1 + 1e-12))
     assert np.median(weighted / plain) > 0.7
-    weighted, plain = (np.asarray(tessellation_factors(p, along).factor) for p in (alike, patches))
+    weighted, plain = (np.asarray(slefe_factors(p, along).factor) for p in (alike, patches))
     np.testing.assert_allclose(weighted, plain, rtol=1e-9)
-    weighted, plain = (np.asarray(tessellation_factors(p, main_view).factor) for p in (alike, patches))
+    weighted, plain = (np.asarray(slefe_factors(p, main_view).factor) for p in (alike, patches))
     assert np.median(weighted / plain) == pytest.approx(0.85, abs=0.15)
 
 
@@ -307,7 +310,7 @@ def test_rational_widths_by_loops(rng):
             low = slefe(np.asarray(across.lower)[:, j], 3).lower[i]
             high = slefe(np.asarray(across.upper)[:, j], 3).upper[i]
             widths.append(float(high - low) / middle[3])
-    found = float(tessellation_factors(patch[None], view, tolerance=0.5).factor[0])
+    found = float(slefe_factors(patch[None], view, tolerance=0.5).factor[0])
     assert found == pytest.approx(3 * np.sqrt(max(widths) / 0.5), rel=1e-9)
 
 
@@ -317,11 +320,11 @@ def test_rational_patches_behind_and_beside_are_not_drawn(rng):
         rng.normal(size=(4, 3, 3, 3)) * 0.3
         + np.array([[0, 0, 0], [0, -20, 0], [300, 0, 0], [0, 900, 0]])[:, None, None]
     )
-    factor = np.asarray(tessellation_factors(rational(points, rng.uniform(0.5, 2, (4, 3, 3, 1))), view).factor)
+    factor = np.asarray(slefe_factors(rational(points, rng.uniform(0.5, 2, (4, 3, 3, 1))), view).factor)
     assert factor[0] > 1
     assert factor[1:].tolist() == [0, 0, 0]
 
 
 def test_weights_must_be_positive(main_view):
     with pytest.raises(InputError, match=r"weights .* patch 0"):
-        tessellation_factors(np.zeros((1, 4, 4, 4)), main_view)
+        slefe_factors(np.zeros((1, 4, 4, 4)), main_view)

@@ -23,6 +23,7 @@ LAYERS = [
         "rivals",
         "estimate",
         "certified",
+        "verified",
         "rules",
         "supremum",
         "triangles",

@@ -89,7 +89,7 @@ def test_parabola_by_hand(n):
 def test_published_figures_of_the_teapot(teapot, main_view):
     """MATH.md, section 5: 97 % and 19 % of the patches above 1/2 and 1 px, at most 1.68; 34 % and .86 with root 2."""
     for tolerance, above_half, above_one, largest in ((1.0, 31, 6, 1.68), (0.5, 11, 0, 0.86)):
-        factors = tessellation_factors(teapot.patches(), main_view, tolerance=tolerance)
+        factors = tessellation_factors(teapot.patches(), main_view, "slefe", tolerance=tolerance)
         error = sampled_error(teapot.patches(), factors, main_view)
         assert np.count_nonzero(error > 0.5) == above_half
         assert np.count_nonzero(error > 1.0) == above_one
@@ -232,7 +232,7 @@ def test_rendered_pixels_agree_with_the_captured_triangles(device, teapot, edges
     from slefejax.gpu import Renderer
 
     view = View(Camera.look_at(eye, (0, 0, 1.2)), 1440, 900)
-    factors = tessellation_factors(teapot.patches(), view, tolerance=1.0)
+    factors = tessellation_factors(teapot.patches(), view, "slefe", tolerance=1.0)
     outer = factors.edges if edges == "shared" else np.repeat(factors.levels[:, None], 4, axis=1)
     renderer = Renderer(teapot.patches(), device)
     found = triangle_error(teapot.patches(), renderer.capture(view, factors.inner, outer), view)
@@ -270,7 +270,7 @@ def test_transition_rings_break_the_papers_rule(device, teapot, main_view):
     """MATH.md, section 5: raising an edge's factor to the neighbour's can multiply the error."""
     from slefejax.gpu import Renderer
 
-    factors = tessellation_factors(teapot.patches(), main_view)
+    factors = tessellation_factors(teapot.patches(), main_view, "slefe")
     captured = Renderer(teapot.patches(), device).capture(main_view, factors.inner, factors.edges)
     ring = triangle_error(teapot.patches(), captured, main_view)
     uniform = sampled_error(teapot.patches(), factors, main_view)

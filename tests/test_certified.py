@@ -1,0 +1,285 @@
+"""The certified factor: is it ever exceeded, how close is it, and what does it say of odd input?"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from slefejax import (
+    Camera,
+    InputError,
+    View,
+    minimal_factors,
+    sampled_error,
+    tessellation_factors,
+    triangle_error,
+)
+from slefejax.experiments.options import cameras_around
+from slefejax.tessellator import triangle_counts
+
+from .hostile import case
+
+AFFORDABLE = 40  # levels whose error is measured
+
+
+def suitable_tolerance(patches, view, **options):
+    """One at which half of the patches need fewer than about ten cells a side."""
+    factor = np.asarray(tessellation_factors(patches, view, tiles=1, **options).factor)
+    seen = factor[factor > 0]
+    return 0.5 * (np.median(seen) / 10.0) ** 2 if seen.size else None
+
+
+def violations(seed, count, tiles):
+    """(pairs looked at, descriptions of those that break the tolerance) on uniform grids of n and a few more cells."""
+    hostile = case(seed, count)
+    tolerance = suitable_tolerance(hostile.patches, hostile.view)
+    if tolerance is None:
+        return 0, []
+    factors = tessellation_factors(hostile.patches, hostile.view, tiles=tiles, tolerance=tolerance)
+    levels = factors.levels
+    unseen = np.where(levels == 0, 4, 0)
+    broken = list(np.flatnonzero(sampled_error(hostile.patches, unseen, hostile.view) > 0))
+    more = np.random.default_rng(seed).integers(0, 4, count) * np.random.default_rng(seed + 1).integers(0, 2, count)
+    cut = np.where((levels > 0) & (levels <= AFFORDABLE), levels + more, 0)
+    error = sampled_error(hostile.patches, cut, hostile.view)
+    broken += list(np.flatnonzero(error > tolerance))
+    return np.count_nonzero(cut) + np.count_nonzero(unseen), [f"{hostile.name}, patch {k}" for k in broken]
+
+
+@pytest.mark.parametrize("seed", [1, 3, 14, 20, 23, 26, 30, 55])
+def test_uniform_grids_of_hostile_patches_hold(seed):
+    pairs, broken = violations(seed, 48, tiles=1)
+    assert broken == []
+    assert pairs > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", range(0, 420, 20))
+def test_many_uniform_grids_of_hostile_patches_hold(first):
+    found = [violations(seed, 256, tiles=1) for seed in range(first, first + 20)]
+    assert [text for _, broken in found for text in broken] == []
+    assert sum(pairs for pairs, _ in found) > 2000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tiles", [2, 3])
+def test_more_tiles_hold_too(tiles):
+    broken = [text for seed in (0, 7, 9, 13, 16, 21, 27, 29, 33) for text in violations(seed, 128, tiles)[1]]
+    assert broken == []
+
+
+def drawn_violations(seed, count, device, anisotropic=False):
+    """Triangles as the tessellator makes them, every edge shared with that of some other patch."""
+    from slefejax.gpu import Renderer
+
+    hostile = case(seed, count)
+    tolerance = suitable_tolerance(hostile.patches, hostile.view)
+    if tolerance is None:
+        return 0, []
+    numbers = np.random.default_rng(seed).permutation(4 * count).reshape(count, 4) // 2
+    factors = tessellation_factors(
+        hostile.patches, hostile.view, tiles=1, tolerance=tolerance, edge_numbers=numbers, anisotropic=anisotropic
+    )
+    drawable = np.maximum(factors.inner.max(axis=1), factors.edges.max(axis=1)) <= 64
+    inner = np.where(drawable[:, None], factors.inner, 0)
+    edges = np.where(drawable[:, None], factors.edges, 0)
+    for number in np.unique(numbers):
+        own = factors.edges[numbers == number]
+        assert len(set(own[own > 0].tolist())) <= 1, "the neighbours agree"
+    renderer = Renderer(hostile.patches, device)
+    error = triangle_error(hostile.patches, renderer.capture(hostile.view, inner, edges), hostile.view)
+    renderer.release()
+    broken = [f"{hostile.name}, patch {k}" for k in np.flatnonzero(error > tolerance)]
+    return int(np.count_nonzero(drawable & (factors.levels > 0))), broken
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("seed", [3, 14, 30])
+def test_drawn_triangles_of_hostile_patches_hold(device, seed):
+    pairs, broken = drawn_violations(seed, 24, device)
+    assert broken == []
+    assert pairs > 0
+
+
+@pytest.mark.gl
+@pytest.mark.slow
+@pytest.mark.parametrize("first", range(0, 140, 10))
+def test_many_drawn_triangles_of_hostile_patches_hold(device, first):
+    found = [drawn_violations(seed, 96, device, seed % 5 == 0) for seed in range(first, first + 10)]
+    assert [text for _, broken in found for text in broken] == []
+
+
+def test_the_teapot_is_held_and_nearly_minimal(teapot, main_view):
+    minimal = minimal_factors(teapot.patches(), main_view)
+    large = minimal >= 8
+    for tiles, median, p95 in ((1, 1.09, 1.25), (2, 1.06, 1.20)):
+        levels = tessellation_factors(teapot.patches(), main_view, tiles=tiles).levels
+        assert np.all(levels >= minimal)
+        ratio = levels[large] / minimal[large]
+        assert np.median(ratio) <= median
+        assert np.quantile(ratio, 0.95) <= p95
+    assert np.all(sampled_error(teapot.patches(), levels, main_view) <= 0.5)
+
+
+@pytest.mark.slow
+def test_the_teapot_from_all_sides(teapot):
+    ratios = []
+    for view in cameras_around(teapot, 1440, 900, 21, 1):
+        minimal = minimal_factors(teapot.patches(), view)
+        levels = tessellation_factors(teapot.patches(), view).levels
+        assert np.all(levels >= minimal)
+        ratios.append((levels / np.maximum(minimal, 1))[minimal >= 8])
+    ratio = np.concatenate(ratios)
+    assert np.median(ratio) <= 1.06
+    assert np.quantile(ratio, 0.95) <= 1.20
+
+
+def test_proved_cell_by_cell(teapot, main_view):
+    patches = teapot.patches()[::3]
+    minimal = minimal_factors(patches, main_view)
+    plain = tessellation_factors(patches, main_view).levels
+    proved = tessellation_factors(patches, main_view, verify=True).levels
+    assert np.all(minimal <= proved)
+    assert np.all(proved <= plain)
+    assert np.median(proved / minimal) <= 1.02
+    for levels in pairwise([proved, plain]):
+        assert np.all(sampled_error(patches, levels[0], main_view) <= 0.5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", range(0, 60, 10))
+def test_proofs_of_hostile_patches_hold(first):
+    smaller = 0
+    for seed in range(first, first + 10):
+        hostile = case(seed, 64)
+        tolerance = suitable_tolerance(hostile.patches, hostile.view)
+        if tolerance is None:
+            continue
+        plain = tessellation_factors(hostile.patches, hostile.view, tiles=1, tolerance=tolerance).levels
+        found = tessellation_factors(hostile.patches, hostile.view, tiles=1, tolerance=tolerance, verify=True).levels
+        smaller += np.count_nonzero(found < plain)
+        levels = np.where(found <= AFFORDABLE, found, 0)
+        assert np.all(sampled_error(hostile.patches, levels, hostile.view) <= tolerance), hostile.name
+    assert smaller > 0
+
+
+@pytest.mark.gl
+def test_drawn_teapot_holds_with_its_rings(teapot, main_view, device):
+    from slefejax.gpu import Renderer
+
+    renderer = Renderer(teapot.patches(), device)
+    triangles = []
+    for anisotropic in (False, True):
+        factors = tessellation_factors(teapot.patches(), main_view, anisotropic=anisotropic)
+        captured = renderer.capture(main_view, factors.inner, factors.edges)
+        assert np.all(triangle_error(teapot.patches(), captured, main_view) <= 0.5)
+        triangles.append(triangle_counts(factors.inner, factors.edges).sum())
+    renderer.release()
+    assert triangles[1] < 0.9 * triangles[0]
+
+
+def test_pairs_save_triangles(teapot, main_view):
+    factors = tessellation_factors(teapot.patches(), main_view, anisotropic=True)
+    pairs = np.ceil(factors.pairs - 1e-9).astype(int)
+    assert np.all(sampled_error(teapot.patches(), pairs, main_view) <= 0.5)
+    assert 2 * np.prod(pairs, axis=1).sum() <= 0.85 * 2 * (factors.levels**2).sum()
+
+
+def test_twisted_quad():
+    """62.5 px for one cell (MATH.md, section 5), a quarter for each halving: 12 cells at half a pixel."""
+    quad = np.array([[[[0.0, 0, 0], [0, 500, 0]], [[500, 0, 0], [750, 500, 0]]]])
+    view = View(Camera.orthographic((400, 300, 5), (400, 300, 0), up=(0, 1, 0), height=900.0), 1440, 900)
+    for tiles in (1, 2):
+        factor = float(tessellation_factors(quad, view, tiles=tiles).factor[0])
+        assert factor == pytest.approx(np.sqrt(62.5 / 0.5), rel=1e-9)
+
+
+def test_parabola_is_exact():
+    """x = 100 u^2: error 100/(4 n^2)."""
+    parabola = np.zeros((1, 3, 2, 3))
+    parabola[0, 2, :, 0], parabola[0, :, 1, 1] = 100.0, 50.0
+    view = View(Camera.orthographic((50, 25, 5), (50, 25, 0), up=(0, 1, 0), height=200.0), 200, 200)
+    factor = float(tessellation_factors(parabola, view).factor[0])
+    assert factor == pytest.approx(np.sqrt(25 / 0.5), rel=1e-9)
+
+
+def test_straight_patches_need_one_piece_and_unseen_ones_none(main_view):
+    straight = np.zeros((2, 4, 4, 3))
+    straight[..., 0], straight[..., 1] = np.linspace(0, 1, 4)[:, None], np.linspace(0, 1, 4)
+    straight[1] += 2 * np.asarray(main_view.camera.eye)
+    factors = tessellation_factors(straight, main_view)
+    np.testing.assert_allclose(factors.factor, [1.0, 0.0], atol=1e-9)
+    assert factors.inner.tolist()[1] == [0, 0]
+    assert factors.edges.tolist()[1] == [0, 0, 0, 0]
+
+
+def test_depth_is_held(teapot, main_view):
+    patches = teapot.patches()
+    tolerance = 1e-6
+    factors = tessellation_factors(patches, main_view, tolerance=1e6, depth_tolerance=tolerance)
+    assert factors.levels.max() > 2
+    # window depth as if it were a picture's row: one pixel wide pictures of depth
+    screen = main_view.world_to_screen
+    t = np.linspace(0.0, 1.0, 97)
+    from slefejax.bezier import evaluate_patch
+
+    for patch, n in zip(patches[:6], factors.levels[:6], strict=True):
+        u, v = (x.ravel() for x in np.meshgrid(t, t, indexing="ij"))
+        points = evaluate_patch(patch[..., None], u, v)
+        exact = (screen[2, :3] @ points + screen[2, 3]) / (screen[3, :3] @ points + screen[3, 3])
+        i, j = (np.minimum(np.floor(x * n), n - 1) for x in (u, v))
+        a, b = u * n - i, v * n - j
+        ends = [evaluate_patch(patch[..., None], (i + k) / n, (j + m) / n) for k in (0, 1) for m in (0, 1)]
+        p00, p01, p10, p11 = ends
+        drawn = np.where(a >= b, p00 + a * (p10 - p00) + b * (p11 - p10), p00 + b * (p01 - p00) + a * (p11 - p01))
+        depth = (screen[2, :3] @ drawn + screen[2, 3]) / (screen[3, :3] @ drawn + screen[3, 3])
+        assert np.abs(exact - depth).max() <= tolerance
+
+
+def test_single_precision_is_safe_too(teapot, main_view):
+    single = tessellation_factors(teapot.patches().astype(np.float32), main_view).factor
+    double = tessellation_factors(teapot.patches(), main_view).factor
+    assert single.dtype == np.float32
+    assert np.all(single >= double)
+    np.testing.assert_allclose(single, double, rtol=0.01)
+
+
+def test_gradients_against_differences(teapot):
+    def total(points, eye):
+        view = View(Camera.look_at(eye, (0.0, 0.0, 1.2)), 1440, 900)
+        return tessellation_factors(points, view, tiles=2).factor.sum()
+
+    points, eye = jnp.asarray(teapot.patches()[:8]), jnp.asarray([4.5, -6.0, 4.0])
+    by_points, by_eye = jax.grad(total, argnums=(0, 1))(points, eye)
+    assert np.isfinite(by_points).all()
+    rng = np.random.default_rng(5)
+    for _ in range(3):
+        direction = rng.normal(size=points.shape)
+        h = 1e-7
+        slope = (total(points + h * direction, eye) - total(points - h * direction, eye)) / (2 * h)
+        assert float(jnp.vdot(by_points, direction)) == pytest.approx(float(slope), rel=1e-4)
+    for axis in np.eye(3):
+        slope = (total(points, eye + 1e-6 * axis) - total(points, eye - 1e-6 * axis)) / 2e-6
+        assert float(by_eye @ axis) == pytest.approx(float(slope), rel=1e-4, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "options, message",
+    [
+        ({"tiles": 0}, "tiles must be a whole number"),
+        ({"method": "slefe", "anisotropic": True}, "knows no anisotropic"),
+        ({"method": "filip", "verify": True}, "knows no verify"),
+    ],
+)
+def test_bad_options(teapot, main_view, options, message):
+    with pytest.raises(InputError, match=message):
+        tessellation_factors(teapot.patches(), main_view, **options)
+
+
+def test_whole_numbers_cannot_be_traced(teapot, main_view):
+    with pytest.raises(InputError, match="outside of jit"):
+        jax.jit(lambda p: tessellation_factors(p, main_view, anisotropic=True).factor)(teapot.patches())
