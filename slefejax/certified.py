@@ -49,16 +49,16 @@ def certified_factor(
     remainders = [_remainder(row, screen.w, ends, extent) for row, ends in zip(screen.rows, whole.ends, strict=True)]
     least = _least_square(screen, whole, extent)
     inverse = 1.0 / jnp.sqrt(least)
+    bends = [_largest_sum(net, extent) for net in (*screen.rows[:2], screen.w)]
     if tiles == 1:
-        square = _square(screen, whole, remainders, extent, inverse, any_triangle)
+        square = _square(screen, whole, remainders, bends[2], extent, inverse, any_triangle)
     else:
-        bends = [_largest_sum(net, extent) for net in (*screen.rows[:2], screen.w)]
 
         def step(largest: Lanes, matrices: tuple[Any, Any]) -> tuple[Lanes, None]:
             u, v = (_entries_of(matrix, least) for matrix in matrices)
             *rows, w = (_restricted(net, u, v) for net in (*screen.rows, screen.w))
             piece = Piece.of(screen, rows, w, tiles)
-            square = _square(screen, piece, remainders, extent, inverse, any_triangle)
+            square = _square(screen, piece, remainders, bends[2], extent, inverse, any_triangle)
             return larger(largest, smaller(square, _last_visible(screen, piece, bends))), None
 
         u, v = _tile_matrices(control.shape[0], control.shape[1], tiles)
@@ -153,8 +153,8 @@ def _remainder(row: Net, w: Net, ends: tuple[Lanes, Lanes], extent: Extent) -> R
         scale = times * extent[0] ** i * extent[1] ** j
         tops.append(scale * _top(shifted) if shifted else jnp.zeros_like(ends[0]))
     (uuu, uuv, uvv, vvv), du, dv = tops, len(row) - 1, len(row[0]) - 1
-    by_u = max(du - 3, 0) * uuu + (4 * (du - 2) * extent[0] / 3 + (dv - 1) * extent[1]) * uuv
-    by_v = max(dv - 3, 0) * vvv + (4 * (dv - 2) * extent[1] / 3 + (du - 1) * extent[0]) * uvv
+    by_u = max(du - 3, 0) * extent[0] * uuu + (4 * (du - 2) * extent[0] / 3 + (dv - 1) * extent[1]) * uuv
+    by_v = max(dv - 3, 0) * extent[1] * vvv + (4 * (dv - 2) * extent[1] / 3 + (du - 1) * extent[0]) * uvv
     return Remainder(uuu + uuv, vvv + uvv, (by_u + by_v) / 144.0)
 
 
@@ -178,11 +178,16 @@ def _least_square(screen: Screen, whole: Piece, extent: Extent) -> Lanes:
 
 
 def _square(
-    screen: Screen, piece: Piece, remainders: list[Remainder], extent: Extent, inverse: Lanes, any_triangle: bool
+    screen: Screen,
+    piece: Piece,
+    remainders: list[Remainder],
+    w_bend: Lanes,
+    extent: Extent,
+    inverse: Lanes,
+    any_triangle: bool,
 ) -> Lanes:
     """n^2 at which the bound for the points of a tile is 1, if 1/n is at most ``inverse``."""
     depth = _hessian(piece.w, extent)
-    bend = _top([_sum_of(h) * i for h, i in zip(depth, piece.inverse, strict=True)])
     degree = len(piece.w) + len(piece.w[0]) - 2
     rounding = 2.0 * _ROUNDING * screen.eps * (degree**2 / 8.0 + degree**3 / 24.0 + degree**4 / 72.0)
     measure = _of_any_triangle if any_triangle else _of_half_cell
@@ -200,9 +205,9 @@ def _square(
             third = (more + less) / 48.0
         else:
             third = _CUBIC * more + less / 288.0
-            largest = larger(largest, less * piece.widest * inverse)
-        rest = (third + remainder.fourth * inverse) * inverse + rounding * size
-        squares.append((largest + bend * piece.scale) / 8.0 + rest * piece.widest)
+            largest = larger(largest, more * piece.widest * inverse)
+        rest = (third + remainder.fourth * inverse) * inverse + w_bend / 8.0 + rounding * size
+        squares.append(largest / 8.0 + rest * piece.widest)
     return _top(squares)
 
 
