@@ -45,12 +45,13 @@ class Minimality:
         view = self.camera.view(scene)
         factors, times = _predict(scene, view, self.prediction)
         largest = factors.scaled(max(self.scales)).levels
+        beside = None if self.prediction.method == "slefe" else _estimate(scene, view, self.prediction)
         device = open_device()
         check_levels(largest, device.highest_level)
         arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
         inputs = {"scene": digest(scene.patches().tobytes()), "opengl": device.renderer}
         with Run("minimality", arguments, self.output.out, inputs) as run:
-            sweep = _Sweep(scene, view, factors, self, run, Renderer(scene.patches(), device))
+            sweep = _Sweep(scene, view, factors, beside, self, run, Renderer(scene.patches(), device))
             with progress("rendering", len(self.scales)) as show:
                 scales = list(self.scales)
                 rows = run.each("scale", scales, lambda s: {**sweep.row(s), **times}, show, error_name)
@@ -85,18 +86,25 @@ def _predict(scene: Scene, view: View, options: PredictionOptions) -> tuple[Fact
     return factors, {"predict_ms": 1e3 * float(np.median([seconds for _, seconds in others]))}
 
 
+def _estimate(scene: Scene, view: View, options: PredictionOptions) -> Factors:
+    """The papers' factors, to be shown beside others."""
+    own = {"segments": options.segments, "tolerance": options.tolerance, "depth_tolerance": options.depth_tolerance}
+    return tessellation_factors(scene.patches(), view, "slefe", k=options.k, edge_numbers=scene.edge_numbers, **own)
+
+
 @dataclass
 class _Sweep:
     scene: Scene
     view: View
     factors: Factors
+    beside: Factors | None
     options: Minimality
     run: Run
     renderer: Renderer
 
-    def levels(self, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    def levels(self, scale: float, factors: Factors | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Inner and outer levels at a scale."""
-        scaled = self.factors.scaled(scale)
+        scaled = (factors or self.factors).scaled(scale)
         own = np.repeat(scaled.levels[:, None], 4, axis=1)
         return scaled.inner, scaled.edges if self.options.edges == "shared" else own
 
@@ -117,7 +125,21 @@ class _Sweep:
             "triangles": int(triangle_counts(inner, outer).sum()),
             **error_shares(error),
             "render_ms": render_ms,
+            **self.estimate(scale),
         }
+
+    def estimate(self, scale: float) -> Row:
+        """What the papers' factors lead to at the same scale; NaN where they are beyond the hardware's limit."""
+        if self.beside is None:
+            return {}
+        inner, outer = self.levels(scale, self.beside)
+        names = ("triangles", "share_above_0.5", "max_error_px")
+        if max(inner.max(), outer.max()) > self.renderer.device.highest_level:
+            return {f"slefe_{name}": float("nan") for name in names}
+        seen = self.renderer.draw(self.view, inner, outer)
+        error = pixel_error(self.scene.patches(), self.view, seen.u, seen.v, seen.patch)
+        found = {"triangles": int(triangle_counts(inner, outer).sum()), **error_shares(error)}
+        return {f"slefe_{name}": found[name] for name in names}
 
     def draw_pictures(self, rows: list[Row]) -> None:
         """The factors on the patches, and one figure with everything."""
@@ -169,7 +191,8 @@ def _left_out(scene: Scene, options: PredictionOptions) -> list[str]:
 
 def _title(scene: Scene, view: View, factors: Factors, options: PredictionOptions) -> str:
     total = float(np.sum(factors.factor))
+    fineness = {"certified": f", tiles {options.tiles}", "slefe": f", m = {options.segments}"}.get(options.method, "")
     return (
-        f"{scene.name}: {len(scene.patches())} patches at {view.width}x{view.height}, method {options.method},"
-        f" m = {options.segments}, tolerance {options.tolerance:g} px, sum of factors {total:.3f}"
+        f"{scene.name}: {len(scene.patches())} patches at {view.width}x{view.height},"
+        f" method {options.method}{fineness}, tolerance {options.tolerance:g} px, sum of factors {total:.3f}"
     )

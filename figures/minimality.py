@@ -10,7 +10,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.image import imread
 
-from slefejax.figures.style import BACKGROUND, FACTOR_MAP, SETTINGS, error_legend, new_figure, occupied, save
+from slefejax.figures.style import (
+    BACKGROUND,
+    FACTOR_MAP,
+    METHOD_STYLES,
+    SETTINGS,
+    error_legend,
+    new_figure,
+    occupied,
+    save,
+)
 
 Box = tuple[slice, slice]
 Label = tuple[float, float, str]
@@ -59,8 +68,8 @@ def write_minimality_figure(
         error_legend(bottom)
         first = rows[0]
         figure.suptitle(
-            f"{scene}: is the predicted tessellation safe, and would less do?  Factors predicted ({first['method']},"
-            f" m = {first['segments']}) for an error of at most {tolerance:g} px are multiplied by a scale,\nthe"
+            f"{scene}: is the predicted tessellation safe, and would less do?  Factors predicted ({first['method']})"
+            f" for an error of at most {tolerance:g} px are multiplied by a scale,\nthe"
             f" {first['patches']} patches rendered, and each pixel compared with the exact surface: how far is it from"
             " where its texture belongs?",
             fontsize=13,
@@ -85,6 +94,9 @@ def _plot_shares(axes: Axes, rows: list[dict[str, Any]]) -> None:
     for limit, style, grey in ((0.1, "s:", "0.55"), (0.5, "o-", "0.0"), (1.0, "^--", "0.3")):
         shares = [100 * row[f"share_above_{limit:g}"] for row in rows]
         axes.plot(scales, shares, style, color=grey, label=f"more than {limit:g} px off")
+    if "slefe_share_above_0.5" in rows[0]:
+        shares = [100 * row["slefe_share_above_0.5"] for row in rows]
+        axes.plot(scales, shares, "o-", color=METHOD_STYLES["slefe"]["color"], label="slefe: more than 0.5 px off")
     axes.set_yscale("symlog", linthresh=0.01)
     axes.set_ylim(0, 150)
     ticks = [0, 0.01, 0.1, 1, 10, 100]
