@@ -8,6 +8,7 @@ makes one loop of everything between two divisions or roots, and repeats what se
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from math import comb
 from typing import Any, NamedTuple
@@ -15,8 +16,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from slefejax import layout
 from slefejax.bezier import restrict
 from slefejax.estimate import Projection, larger, smaller
 
@@ -27,6 +30,46 @@ Extent = tuple[Any, Any]  # sides of the box that holds a triangle, in units of 
 _CUBIC = 1.0 / (12.0 * 27.0**0.5)  # the largest (1 - z^2) z / 24
 _THIRD = ((3, 0, 1.0), (2, 1, 3.0), (1, 2, 3.0), (0, 3, 1.0))  # d/du, d/dv, multiplicity
 _ROUNDING = 16.0  # a coefficient of a tile is wrong by at most half of this, in eps of the sum of its terms' sizes
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(3,))
+def certified_factors(
+    packed: Float[Array, "chunks nu nv dim lanes"], projection: Projection, tolerances: tuple[Any, Any], tiles: int
+) -> Float[Array, "chunks lanes"]:
+    """``certified_factor`` of all chunks, differentiable in reverse too.
+
+    Reverse mode through thousands of lines takes the compiler forever. A factor depends on its own control points and
+    on a handful of numbers of the view, so its derivative by each of them is found in forward mode, one after another.
+    """
+    return layout.over_chunks(partial(certified_factor, tiles=tiles), packed, projection, *tolerances)
+
+
+def _with_inputs(packed: Any, projection: Any, tolerances: Any, tiles: int) -> tuple[Any, tuple]:
+    return certified_factors(packed, projection, tolerances, tiles), (packed, projection, tolerances)
+
+
+def _backwards(tiles: int, saved: tuple, cotangent: Any) -> tuple:
+    packed, projection, tolerances = saved
+    view, rebuild = ravel_pytree((projection, tolerances))
+    count = packed[0, ..., 0].size
+
+    def factors(points: Any, numbers: Any) -> Any:
+        own, allowed = rebuild(numbers)
+        return layout.over_chunks(partial(certified_factor, tiles=tiles), points, own, *allowed)
+
+    def slope(which: Any) -> Any:
+        unit = jnp.zeros(count + view.size, packed.dtype).at[which].set(1.0)
+        shape = (1, *packed.shape[1:4], 1)
+        by_points = jnp.broadcast_to(unit[:count].reshape(shape), packed.shape)
+        return jax.jvp(factors, (packed, view), (by_points, unit[count:]))[1] * cotangent
+
+    slopes = jax.lax.map(slope, jnp.arange(count + view.size))
+    by_points = jnp.moveaxis(slopes[:count], 0, 1)
+    by_points = by_points.reshape(packed.shape[0], *packed.shape[1:4], packed.shape[4])
+    return (by_points, *rebuild(jnp.sum(slopes[count:], axis=(1, 2))))
+
+
+certified_factors.defvjp(_with_inputs, _backwards)
 
 
 def certified_factor(

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 from slefejax import layout
 from slefejax.arguments import Number, Patches, Segments, check_patches, check_positive, is_whole, segment_pair
 from slefejax.certificate import Certificate
-from slefejax.certified import certified_factor
+from slefejax.certified import certified_factors
 from slefejax.edges import edge_maxima, shared_edges
 from slefejax.errors import InputError
 from slefejax.estimate import Projection, slefe_factor
@@ -202,11 +202,9 @@ def tessellation_factors(
 @jax.jit(static_argnums=(3, 4))
 def _factors_jit(packed: Any, projection: Projection, scales: tuple, method: str, fineness: Any) -> Any:
     if method == "certified":
-        kernel = partial(certified_factor, tiles=fineness)
-    elif method == "slefe":
-        kernel = partial(slefe_factor, segments=fineness)
-    else:
-        kernel = _seen(RULES[method])
+        factor = certified_factors(packed, projection, scales, fineness)
+        return jnp.where(_harmless(packed, projection, (1, 2, 3)), factor, jnp.nan)
+    kernel = partial(slefe_factor, segments=fineness) if method == "slefe" else _seen(RULES[method])
     return layout.over_chunks(_unless_bad(kernel), packed, projection, *scales)
 
 
@@ -243,17 +241,18 @@ def _check_numbers(method: str, asked: dict[str, bool], tiles: Any, positive: di
 
 
 def _unless_bad(kernel: Callable[..., Any]) -> Callable[..., Any]:
-    """The kernel with NaN for a patch with control points that are not finite, or so large that their images are not.
-
-    The kernels' selects would hide such values.
-    """
+    """The kernel with NaN for harmful patches: its selects would hide them."""
 
     def checked(control: Any, projection: Projection, *arguments: Any) -> Any:
-        # a sum of four products of points and matrix entries, differences of such sums, and the picture's size
-        image = 64 * jnp.max(jnp.abs(control), axis=(0, 1, 2)) * jnp.max(jnp.abs(projection.frustum))
-        return jnp.where(jnp.isfinite(image), kernel(control, projection, *arguments), jnp.nan)
+        return jnp.where(_harmless(control, projection, (0, 1, 2)), kernel(control, projection, *arguments), jnp.nan)
 
     return checked
+
+
+def _harmless(control: Any, projection: Projection, axes: tuple[int, int, int]) -> Any:
+    """Whether all control points are finite, and small enough for their images to be."""
+    # a sum of four products of points and matrix entries, differences of such sums, and the picture's size
+    return jnp.isfinite(64 * jnp.max(jnp.abs(control), axis=axes) * jnp.max(jnp.abs(projection.frustum)))
 
 
 def _check_result(factor: np.ndarray, patches: np.ndarray) -> None:

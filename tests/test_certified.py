@@ -248,12 +248,13 @@ def test_single_precision_is_safe_too(teapot, main_view):
     np.testing.assert_allclose(single, double, rtol=0.01)
 
 
-def test_gradients_against_differences(teapot):
+def check_gradients(points, eye, tiles):
+    """Reverse mode against central differences, along random directions and by the camera's place."""
+
     def total(points, eye):
         view = View(Camera.look_at(eye, (0.0, 0.0, 1.2)), 1440, 900)
-        return tessellation_factors(points, view, tiles=2).factor.sum()
+        return tessellation_factors(points, view, tiles=tiles).factor.sum()
 
-    points, eye = jnp.asarray(teapot.patches()[:8]), jnp.asarray([4.5, -6.0, 4.0])
     by_points, by_eye = jax.grad(total, argnums=(0, 1))(points, eye)
     assert np.isfinite(by_points).all()
     rng = np.random.default_rng(5)
@@ -265,6 +266,16 @@ def test_gradients_against_differences(teapot):
     for axis in np.eye(3):
         slope = (total(points, eye + 1e-6 * axis) - total(points, eye - 1e-6 * axis)) / 2e-6
         assert float(by_eye @ axis) == pytest.approx(float(slope), rel=1e-4, abs=1e-6)
+
+
+def test_gradients_against_differences(rng):
+    quads = jnp.asarray(rng.normal(size=(5, 2, 2, 3)) + [0.0, 0.0, 1.2])
+    check_gradients(quads, jnp.asarray([4.5, -6.0, 4.0]), 1)
+
+
+@pytest.mark.slow
+def test_gradients_on_the_teapot(teapot):
+    check_gradients(jnp.asarray(teapot.patches()[:8]), jnp.asarray([4.5, -6.0, 4.0]), 2)
 
 
 @pytest.mark.parametrize(
