@@ -87,7 +87,8 @@ def _plot_ratio(axes: Axes, summary: Rows, names: list[str], key: str, over: str
     axes.set_yscale("log")
     axes.set_ylabel(title)
     axes.set_title("what it costs in triangles")
-    axes.legend(frameon=True, fontsize=9)
+    axes.set_ylim(top=20)
+    axes.legend(frameon=True, fontsize=9, loc="upper left", ncols=3)
 
 
 def _plot_times(axes: Axes, summary: Rows, names: list[str]) -> None:

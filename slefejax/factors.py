@@ -202,7 +202,7 @@ def tessellation_factors(
 @jax.jit(static_argnums=(3, 4))
 def _factors_jit(packed: Any, projection: Projection, scales: tuple, method: str, fineness: Any) -> Any:
     if method == "certified":
-        factor = certified_factors(packed, projection, scales, fineness)
+        factor: Any = certified_factors(packed, projection, scales, fineness)
         return jnp.where(_harmless(packed, projection, (1, 2, 3)), factor, jnp.nan)
     kernel = partial(slefe_factor, segments=fineness) if method == "slefe" else _seen(RULES[method])
     return layout.over_chunks(_unless_bad(kernel), packed, projection, *scales)

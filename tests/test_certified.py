@@ -184,7 +184,7 @@ def test_drawn_teapot_holds_with_its_rings(teapot, main_view, device):
 
 def test_pairs_save_triangles(teapot, main_view):
     factors = tessellation_factors(teapot.patches(), main_view, anisotropic=True)
-    pairs = np.ceil(factors.pairs - 1e-9).astype(int)
+    pairs = np.ceil(np.asarray(factors.pairs) - 1e-9).astype(int)
     assert np.all(sampled_error(teapot.patches(), pairs, main_view) <= 0.5)
     assert 2 * np.prod(pairs, axis=1).sum() <= 0.85 * 2 * (factors.levels**2).sum()
 
