@@ -182,7 +182,7 @@ def tessellation_factors(
     else:
         numbers = (tolerance, SETTINGS.get(method) if setting is None else setting)
     scales = tuple(None if x is None else jnp.asarray(x, dtype) for x in numbers)
-    fineness = int(tiles) if method == "certified" else segment_pair(segments) if method == "slefe" else None
+    fineness = {"certified": int(tiles), "slefe": segment_pair(segments)}.get(method)
     factor = layout.unpack(_factors_jit(packed, projection, scales, method, fineness), len(patches))
     if isinstance(factor, Tracer):
         if anisotropic or verify:

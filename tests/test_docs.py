@@ -30,6 +30,6 @@ def test_scripts_of_the_readme(device, capsys):
     for script in whole:
         exec(compile(script, "README.md", "exec"), {})
     shown = capsys.readouterr().out.split("\n")
-    assert shown[0].startswith("537.8")
+    assert shown[0].startswith("561.4")
     assert 350 < int(shown[0].split()[1]) < 500  # drivers differ in which pixels of an edge they draw
     assert shown[1].startswith("20178 15994 0.499")
