@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -146,8 +144,8 @@ def test_proved_cell_by_cell(teapot, main_view):
     assert np.all(minimal <= proved)
     assert np.all(proved <= plain)
     assert np.median(proved / minimal) <= 1.02
-    for levels in pairwise([proved, plain]):
-        assert np.all(sampled_error(patches, levels[0], main_view) <= 0.5)
+    for levels in (proved, plain):
+        assert np.all(sampled_error(patches, levels, main_view) <= 0.5)
 
 
 @pytest.mark.slow
