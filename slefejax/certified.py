@@ -7,24 +7,18 @@ makes one loop of everything between two divisions or roots, and repeats what se
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
-from itertools import pairwise
-from math import comb
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from slefejax import layout
-from slefejax.bezier import restrict
+from slefejax import layout, nets
 from slefejax.estimate import Projection, larger, smaller
+from slefejax.nets import Lanes, Net
 
-Lanes = Any  # (lanes,)
-Net = list[list[Lanes]]
 Extent = tuple[Any, Any]  # sides of the box that holds a triangle, in units of 1/n, along u and v
 
 _CUBIC = 1.0 / (12.0 * 27.0**0.5)  # the largest (1 - z^2) z / 24
@@ -98,13 +92,13 @@ def certified_factor(
     else:
 
         def step(largest: Lanes, matrices: tuple[Any, Any]) -> tuple[Lanes, None]:
-            u, v = (_entries_of(matrix, least) for matrix in matrices)
-            *rows, w = (_restricted(net, u, v) for net in (*screen.rows, screen.w))
+            u, v = (nets.entries_of(matrix, least) for matrix in matrices)
+            *rows, w = (nets.restricted(net, u, v) for net in (*screen.rows, screen.w))
             piece = Piece.of(screen, rows, w, tiles)
             square = _square(screen, piece, remainders, bends[2], extent, inverse, any_triangle)
             return larger(largest, smaller(square, _last_visible(screen, piece, bends))), None
 
-        u, v = _tile_matrices(control.shape[0], control.shape[1], tiles)
+        u, v = nets.tile_matrices(control.shape[0], control.shape[1], tiles)
         matrices = (jnp.asarray(u, control.dtype), jnp.asarray(v, control.dtype))
         square, _ = jax.lax.scan(step, jnp.zeros_like(least), matrices)
     rounded = 1.0 + 64.0 * jnp.finfo(control.dtype).eps
@@ -130,21 +124,21 @@ class Screen(NamedTuple):
         scales = [1.0 / tolerance, 1.0 / tolerance, 1.0 if depth_tolerance is None else 1.0 / depth_tolerance]
         half = [extent * scale for extent, scale in zip(projection.half, scales, strict=True)]
         matrix = [row * scale for row, scale in zip(projection.to_pixels, (*scales, 1.0), strict=True)]
-        points = _points(control)
+        points = nets.points(control)
         rows = [[row[a] for a in range(4)] for row in matrix]
-        x, y, z, w = (_image(points, row) for row in rows)
-        largest = [_top([jnp.abs(c[a]) for c in _entries(points)]) for a in range(control.shape[2])]
+        x, y, z, w = (nets.image(points, row) for row in rows)
+        largest = [nets.top([jnp.abs(c[a]) for c in nets.entries(points)]) for a in range(control.shape[2])]
         largest = largest if rational else [*largest, 1.0]
-        *own, w_size = (_sum([jnp.abs(m) * c for m, c in zip(row, largest, strict=True)]) for row in rows)
+        *own, w_size = (nets.total([jnp.abs(m) * c for m, c in zip(row, largest, strict=True)]) for row in rows)
         sizes = [size + extent * w_size for size, extent in zip(own, half, strict=True)]
         eps = float(jnp.finfo(control.dtype).eps)
         inside = []
         for net, extent, size in zip((x, y, z), half, sizes, strict=True):
-            pairs = [(a, extent * b) for a, b in zip(_entries(net), _entries(w), strict=True)]
+            pairs = [(a, extent * b) for a, b in zip(nets.entries(net), nets.entries(w), strict=True)]
             error = _ROUNDING * eps * size
-            inside += [_top([b + a for a, b in pairs]) + error, _top([b - a for a, b in pairs]) + error]
-        visible = _bottom(inside) >= 0
-        weight = _bottom([c[3] for c in _entries(points)]) if rational else jnp.ones_like(largest[0])
+            inside += [nets.top([b + a for a, b in pairs]) + error, nets.top([b - a for a, b in pairs]) + error]
+        visible = nets.bottom(inside) >= 0
+        weight = nets.bottom([c[3] for c in nets.entries(points)]) if rational else jnp.ones_like(largest[0])
         count = 2 if depth_tolerance is None else 3
         floor = projection.near_w * weight
         return Screen([x, y, z][:count], w, half[:count], floor, sizes[:count], w_size, eps, visible)
@@ -165,18 +159,18 @@ class Piece(NamedTuple):
         """Where W may lie below the floor, the floor stands for it, and all of the picture is reached."""
         error = _ROUNDING * screen.eps
         w_blur = error * screen.w_size
-        safe = [c - w_blur for c in _entries(w)]
-        deep = _bottom(safe) >= screen.floor
+        safe = [c - w_blur for c in nets.entries(w)]
+        deep = nets.bottom(safe) >= screen.floor
         inverse = [1.0 / jax.lax.select(deep, c, screen.floor) for c in safe]
         ends = []
         for net, half, size in zip(rows, screen.half, screen.sizes, strict=True):
             limit = jnp.broadcast_to(half, deep.shape)
             blur = error * size
-            places = [(c, i) for c, i in zip(_entries(net), inverse, strict=True)]
-            low = jax.lax.select(deep, _bottom([(c - blur) * i for c, i in places]), -limit)
-            high = jax.lax.select(deep, _top([(c + blur) * i for c, i in places]), limit)
+            places = [(c, i) for c, i in zip(nets.entries(net), inverse, strict=True)]
+            low = jax.lax.select(deep, nets.bottom([(c - blur) * i for c, i in places]), -limit)
+            high = jax.lax.select(deep, nets.top([(c + blur) * i for c, i in places]), limit)
             ends.append((_clip(low, limit), _clip(high, limit)))
-        return Piece(rows, w, inverse, _top(inverse), ends, float(tiles**2))
+        return Piece(rows, w, inverse, nets.top(inverse), ends, float(tiles**2))
 
 
 class Remainder(NamedTuple):
@@ -191,10 +185,10 @@ def _remainder(row: Net, w: Net, ends: tuple[Lanes, Lanes], extent: Extent) -> R
     """The fourth derivatives are differences of the third, times a degree: bounded by twice as much."""
     tops = []
     for i, j, times in _THIRD:
-        own, depth = (_entries(_derivative(net, i, j)) for net in (row, w))
+        own, depth = (nets.entries(nets.derivative(net, i, j)) for net in (row, w))
         shifted = [jnp.abs(_shifted(x, s, y)) for s in ends for x, y in zip(own, depth, strict=True)]
         scale = times * extent[0] ** i * extent[1] ** j
-        tops.append(scale * _top(shifted) if shifted else jnp.zeros_like(ends[0]))
+        tops.append(scale * nets.top(shifted) if shifted else jnp.zeros_like(ends[0]))
     (uuu, uuv, uvv, vvv), du, dv = tops, len(row) - 1, len(row[0]) - 1
     by_u = max(du - 3, 0) * extent[0] * uuu + (4 * (du - 2) * extent[0] / 3 + (dv - 1) * extent[1]) * uuv
     by_v = max(dv - 3, 0) * extent[1] * vvv + (4 * (dv - 2) * extent[1] / 3 + (du - 1) * extent[0]) * uvv
@@ -242,7 +236,7 @@ def _square(
             for s in ends
             for own, other, i in zip(hessian, depth, piece.inverse, strict=True)
         ]
-        largest = _top(values) * piece.scale
+        largest = nets.top(values) * piece.scale
         more, less = larger(remainder.along_u, remainder.along_v), smaller(remainder.along_u, remainder.along_v)
         if any_triangle:
             third = (more + less) / 48.0
@@ -251,7 +245,7 @@ def _square(
             largest = larger(largest, more * piece.widest * inverse)
         rest = (third + remainder.fourth * inverse) * inverse + w_bend / 8.0 + rounding * size
         squares.append(largest / 8.0 + rest * piece.widest)
-    return _top(squares)
+    return nets.top(squares)
 
 
 def _last_visible(screen: Screen, piece: Piece, bends: list[Lanes]) -> Lanes:
@@ -262,10 +256,10 @@ def _last_visible(screen: Screen, piece: Piece, bends: list[Lanes]) -> Lanes:
     """
     error = _ROUNDING * screen.eps
     *row_bends, w_bend = bends
-    planes = [(screen.floor - error * screen.w_size - _top(_entries(piece.w)), w_bend)]
+    planes = [(screen.floor - error * screen.w_size - nets.top(nets.entries(piece.w)), w_bend)]
     for net, half, size, bend in zip(piece.rows[:2], screen.half[:2], screen.sizes[:2], row_bends, strict=True):
-        pairs = [(a, half * b) for a, b in zip(_entries(net), _entries(piece.w), strict=True)]
-        for reach in (_top([b + a for a, b in pairs]), _top([b - a for a, b in pairs])):
+        pairs = [(a, half * b) for a, b in zip(nets.entries(net), nets.entries(piece.w), strict=True)]
+        for reach in (nets.top([b + a for a, b in pairs]), nets.top([b - a for a, b in pairs])):
             planes.append((-reach - error * size, bend + half * w_bend))
     last = jnp.full_like(screen.w_size, jnp.inf)
     for outside, bend in planes:
@@ -277,7 +271,9 @@ def _last_visible(screen: Screen, piece: Piece, bends: list[Lanes]) -> Lanes:
 
 def _largest_sum(net: Net, extent: Extent) -> Lanes:
     """At least the largest |uu| + 2 |uv| + |vv|, each over its own coefficients."""
-    tops = [_top([jnp.abs(c) for c in _entries(part)]) if part else None for part in _plain_hessian(net, extent)]
+    tops = [
+        nets.top([jnp.abs(c) for c in nets.entries(part)]) if part else None for part in _plain_hessian(net, extent)
+    ]
     return _sum_of((tops[0], tops[1], tops[2]))
 
 
@@ -301,7 +297,7 @@ def _of_any_triangle(a: Any, b: Lanes, c: Any) -> Lanes:
 
 def _sum_of(hessian: tuple[Any, Lanes, Any]) -> Lanes:
     a, b, c = hessian
-    return _sum([jnp.abs(b + b), *(jnp.abs(x) for x in (a, c) if x is not None)])
+    return nets.total([jnp.abs(b + b), *(jnp.abs(x) for x in (a, c) if x is not None)])
 
 
 def _shifted(x: Any, s: Lanes, w: Any) -> Any:
@@ -310,103 +306,22 @@ def _shifted(x: Any, s: Lanes, w: Any) -> Any:
 
 def _plain_hessian(net: Net, extent: Extent) -> list[Net]:
     """uu, uv, vv times the extents, each of its own degree; empty for one that is identically 0."""
-    return [_scaled(_derivative(net, i, j), extent[0] ** i * extent[1] ** j) for i, j in ((2, 0), (1, 1), (0, 2))]
+    return [
+        nets.scaled(nets.derivative(net, i, j), extent[0] ** i * extent[1] ** j) for i, j in ((2, 0), (1, 1), (0, 2))
+    ]
 
 
 def _hessian(net: Net, extent: Extent) -> list[tuple[Any, Lanes, Any]]:
     """(uu, uv, vv) times the extents, coefficients of the net's own degrees; None for one that is identically 0."""
     columns = []
     for part in _plain_hessian(net, extent):
-        raised = _transposed(_raised(_transposed(_raised(part, len(net) - 1)), len(net[0]) - 1)) if part else []
-        columns.append(_entries(raised) or [None] * (len(net) * len(net[0])))
+        raised = (
+            nets.transposed(nets.raised(nets.transposed(nets.raised(part, len(net) - 1)), len(net[0]) - 1))
+            if part
+            else []
+        )
+        columns.append(nets.entries(raised) or [None] * (len(net) * len(net[0])))
     return list(zip(*columns, strict=True))
-
-
-def _derivative(net: Net, i: int, j: int) -> Net:
-    """Coefficients of the derivative, i times by u and j times by v; empty if it is identically 0 by degree."""
-    for _ in range(i):
-        d = len(net) - 1
-        net = _scaled([[b - a for a, b in zip(*pair, strict=True)] for pair in pairwise(net)], d)
-    if j and net:
-        return _transposed(_derivative(_transposed(net), j, 0))
-    return net
-
-
-def _raised(net: Net, degree: int) -> Net:
-    """The same polynomial with a higher degree along u."""
-    low = len(net) - 1
-    rows = []
-    for i in range(degree + 1):
-        used = range(max(0, i - degree + low), min(low, i) + 1)
-        shares = [comb(low, k) * comb(degree - low, i - k) / comb(degree, i) for k in used]
-        parts = [_scaled([net[k]], share)[0] for k, share in zip(used, shares, strict=True)]
-        rows.append([_sum(list(column)) for column in zip(*parts, strict=True)])
-    return rows
-
-
-def _tile_matrices(nu: int, nv: int, tiles: int) -> tuple[np.ndarray, np.ndarray]:
-    """Matrices that restrict coefficients to every tile, along u and along v, ``(tiles^2, d+1, d+1)``."""
-    along = [[restrict(np.eye(n), k / tiles, (k + 1) / tiles) for k in range(tiles)] for n in (nu, nv)]
-    pairs = [(u, v) for u in along[0] for v in along[1]]
-    return np.stack([u for u, _ in pairs]), np.stack([v for _, v in pairs])
-
-
-def _entries_of(matrix: Any, like: Lanes) -> list[list[Lanes]]:
-    return [[jnp.broadcast_to(x, like.shape) for x in row] for row in matrix]
-
-
-def _restricted(net: Net, u: list[list[Lanes]], v: list[list[Lanes]]) -> Net:
-    columns = _transposed(net)
-    rows = [[_sum([a * c for a, c in zip(line, column, strict=True)]) for column in columns] for line in u]
-    return [[_sum([a * c for a, c in zip(line, row, strict=True)]) for line in v] for row in rows]
-
-
-def _image(points: list, row: list) -> Net:
-    """A row of the projection applied to all control points."""
-    return [
-        [_sum([m * x for m, x in zip(row, c, strict=False)] + ([row[3]] if len(c) == 3 else [])) for c in line]
-        for line in points
-    ]
-
-
-def _scaled(net: Net, factor: Any) -> Net:
-    return net if isinstance(factor, (int, float)) and factor == 1 else [[c * factor for c in row] for row in net]
-
-
-def _sum(values: list[Any]) -> Any:
-    total = values[0]
-    for value in values[1:]:
-        total = total + value
-    return total
-
-
-def _points(control: Any) -> list:
-    return [[list(control[i, j]) for j in range(control.shape[1])] for i in range(control.shape[0])]
-
-
-def _entries(net: Net) -> list[Lanes]:
-    return [entry for row in net for entry in row]
-
-
-def _transposed(net: Net) -> Net:
-    return [list(row) for row in zip(*net, strict=True)]
-
-
-def _top(values: list[Lanes]) -> Lanes:
-    return _tree(larger, values)
-
-
-def _bottom(values: list[Lanes]) -> Lanes:
-    return _tree(smaller, values)
-
-
-def _tree(choose: Callable[[Lanes, Lanes], Lanes], values: list[Lanes]) -> Lanes:
-    """All values in pairs, the results in pairs, ...: compiles faster than one after the other."""
-    while len(values) > 1:
-        values = [choose(*pair) for pair in zip(values[::2], values[1::2], strict=False)] + values[
-            len(values) // 2 * 2 :
-        ]
-    return values[0]
 
 
 def _clip(value: Lanes, limit: Lanes) -> Lanes:

@@ -17,6 +17,7 @@ from slefejax import layout
 from slefejax.arguments import Number, Patches, Segments, check_patches, check_positive, is_whole, segment_pair
 from slefejax.certificate import Certificate
 from slefejax.certified import certified_factors
+from slefejax.drawn import drawn_levels
 from slefejax.edges import edge_maxima, shared_edges
 from slefejax.errors import InputError
 from slefejax.estimate import Projection, slefe_factor
@@ -87,7 +88,7 @@ class Factors:
         if self.certificate is not None:
             real = np.repeat(np.asarray(self.factor)[:, None], 2, axis=1) if self.pairs is None else self.pairs
             _ = self.levels  # raises for factors that are no levels
-            return self.certificate.levels(real, self.edge_numbers)
+            return drawn_levels(self.certificate, real, self.edge_numbers, self.pairs is not None)
         return np.repeat(self.levels[:, None], 2, axis=1), edge_maxima(self.levels, self.edge_numbers)
 
     def scaled(self, scale: float) -> Factors:

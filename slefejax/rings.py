@@ -10,35 +10,39 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from importlib import resources
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt64
 
 from slefejax.tessellator import HIGHEST_LEVEL
 
 UNIT = 2**16  # of the table in the file
-_ALONG = (1, 0, 1, 0)  # the inner level along the edges u=0, v=0, u=1, v=1
+ALONG = np.array([1, 0, 1, 0])  # the inner level along the edges u=0, v=0, u=1, v=1
 
 Pairs = Int[np.ndarray, "patches 2"]
 Edges = Int[np.ndarray, "patches 4"]
-# (patches, sides, widths, lengths) -> whether triangles keep the tolerance that lie in the strip of that width along
-# that side of a patch and are no longer than that; sides in OpenGL's order, widths and lengths in the domain 0 ... 1
-Allowed = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], Bool[np.ndarray, "n"]]
+# (patches, sides, inner levels across these sides) -> how long triangles may be that lie in the outermost row of cells
+# along a side, in the domain 0 ... 1; sides in OpenGL's order
+Longest = Callable[[np.ndarray, np.ndarray, np.ndarray], Float[np.ndarray, "n"]]
 
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
     """How far the triangles of a tessellator reach in the domain 0 ... 1.
 
-    cell  : ``(65,)``, the widest cell of an inner grid with n cells, index n
+    cell  : ``(65,)``, the widest cell of inner grids with n or more cells, index n
     reach : ``(65, 65)``, the longest extent along an edge of the triangles between it and the inner grid, for the
             inner level n along the edge (1 acts as 2) and the edge's own level m, index (n, m)
     """
 
     cell: Float[np.ndarray, "n"]
     reach: Float[np.ndarray, "n m"]
+
+    def __post_init__(self) -> None:
+        """A level that is raised must not widen cells."""
+        object.__setattr__(self, "cell", np.maximum.accumulate(self.cell[::-1])[::-1])
 
     def cells(self, levels: Int[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
         """The widest cell for levels; 1/n beyond what a tessellator can draw."""
@@ -54,6 +58,30 @@ class Pattern:
                 return levels
             levels = levels + wide
 
+    def edge_levels(
+        self, inner: Int[np.ndarray, "*shape"], longest: Float[np.ndarray, "*shape"]
+    ) -> UInt64[np.ndarray, "*shape"]:
+        """The levels m of an edge with which no triangle of its ring is too long, as bits m - 1.
+
+        With the level of the grid itself the ring is part of the grid: that one is always among them.
+        """
+        own, keys, sets = self._sets
+        # a little less, so that rounding never lets a longer triangle in
+        place = np.searchsorted(keys, inner + 0.5 * longest - 1e-12, side="right")
+        return sets[place] | own[inner]
+
+    @cached_property
+    def _sets(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Bits of n; n + half the reach of every (n, m), in order; the bits of those of this n up to there."""
+        bits = np.uint64(1) << np.arange(HIGHEST_LEVEL, dtype=np.uint64)
+        keys, sets = [], [np.zeros(1, np.uint64)]
+        for n in range(1, HIGHEST_LEVEL + 1):
+            order = np.argsort(self.reach[n, 1:], kind="stable")
+            # reaches are at most 1, so that half of one never gets to the next n
+            keys += [[n - 0.25], n + 0.5 * self.reach[n, 1:][order]]
+            sets += [np.zeros(1, np.uint64), np.bitwise_or.accumulate(bits[order])]
+        return np.concatenate([np.zeros(2, np.uint64), bits[1:]]), np.concatenate(keys), np.concatenate(sets)
+
 
 @cache
 def direct3d11() -> Pattern:
@@ -67,8 +95,8 @@ def direct3d11() -> Pattern:
     return Pattern(cell, reach)
 
 
-def safe_levels(inner: Pairs, numbers: Edges, pattern: Pattern, allowed: Allowed) -> tuple[Pairs, Edges]:
-    """Inner and outer levels, no smaller than ``inner``, with which every triangle of the pattern is allowed.
+def safe_levels(inner: Pairs, numbers: Edges, pattern: Pattern, longest: Longest) -> tuple[Pairs, Edges]:
+    """Inner and outer levels, no smaller than ``inner``, with which no triangle of the pattern is too long.
 
     inner   : levels whose grids, with cells as wide as the pattern's, keep the tolerance; 0 for a patch off-screen
     numbers : equal for shared edges (``slefejax.edges``)
@@ -80,13 +108,13 @@ def safe_levels(inner: Pairs, numbers: Edges, pattern: Pattern, allowed: Allowed
     """
     inner = inner.copy()
     levels = np.zeros(numbers.max() + 1, np.int64)
-    np.maximum.at(levels, numbers.ravel(), inner[:, _ALONG].ravel())
+    np.maximum.at(levels, numbers.ravel(), inner[:, ALONG].ravel())
     drawn = np.all(inner > 0, axis=1)
     patch, side = np.nonzero(np.broadcast_to(drawn[:, None], numbers.shape))
     while patch.size:
-        failing = _failing(inner, levels[numbers], patch, side, pattern, allowed)
+        failing = _failing(inner, levels[numbers], patch, side, pattern, longest)
         patch, side = patch[failing], side[failing]
-        along = np.asarray(_ALONG)[side]
+        along = ALONG[side]
         n, m = inner[patch, along], levels[numbers[patch, side]]
         more_cells = (n < m) | (n == 1)
         np.maximum.at(inner, (patch[more_cells], along[more_cells]), _next_inner(n, m, pattern)[more_cells])
@@ -100,18 +128,16 @@ def safe_levels(inner: Pairs, numbers: Edges, pattern: Pattern, allowed: Allowed
 
 
 def _failing(
-    inner: Pairs, edges: Edges, patch: np.ndarray, side: np.ndarray, pattern: Pattern, allowed: Allowed
+    inner: Pairs, edges: Edges, patch: np.ndarray, side: np.ndarray, pattern: Pattern, longest: Longest
 ) -> Bool[np.ndarray, "sides"]:
-    """Which rings hold a triangle that is not allowed."""
-    along = np.asarray(_ALONG)[side]
-    n, m, across = inner[patch, along], edges[patch, side], inner[patch, 1 - along]
+    """Which rings hold a triangle that is too long."""
+    along = ALONG[side]
+    n, m, across = np.maximum(inner[patch, along], 2), edges[patch, side], inner[patch, 1 - along]
     plain = np.all(inner[patch] == 1, axis=1) & np.all(edges[patch] == 1, axis=1)
-    open_ones = np.flatnonzero(((n != m) | (n == 1)) & ~plain & (np.maximum(n, m) <= HIGHEST_LEVEL))
+    drawable = np.flatnonzero(~plain & (np.maximum(n, m) <= HIGHEST_LEVEL))
+    allowed = longest(patch[drawable], side[drawable], np.maximum(across[drawable], 2))
     failing = np.zeros(len(patch), bool)
-    if open_ones.size:
-        width = pattern.cells(np.maximum(across[open_ones], 2))
-        length = pattern.reach[n[open_ones], m[open_ones]]
-        failing[open_ones] = ~allowed(patch[open_ones], side[open_ones], width, length)
+    failing[drawable] = pattern.edge_levels(n[drawable], allowed) >> (m[drawable] - 1).astype(np.uint64) & 1 == 0
     return failing
 
 

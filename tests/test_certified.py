@@ -58,9 +58,10 @@ def test_uniform_grids_of_hostile_patches_hold(seed):
 @pytest.mark.slow
 @pytest.mark.parametrize("first", range(0, 420, 20))
 def test_many_uniform_grids_of_hostile_patches_hold(first):
-    found = [violations(seed, 256, tiles=1) for seed in range(first, first + 20)]
+    """137,304 pairs of patch and view in all, no less than 4,762 (10^5 / 21) in each part."""
+    found = [violations(seed, 512, tiles=1) for seed in range(first, first + 20)]
     assert [text for _, broken in found for text in broken] == []
-    assert sum(pairs for pairs, _ in found) > 2000
+    assert sum(pairs for pairs, _ in found) > 4762
 
 
 @pytest.mark.slow
@@ -105,9 +106,9 @@ def test_drawn_triangles_of_hostile_patches_hold(device, seed):
 
 @pytest.mark.gl
 @pytest.mark.slow
-@pytest.mark.parametrize("first", range(0, 140, 10))
+@pytest.mark.parametrize("first", range(0, 60, 6))
 def test_many_drawn_triangles_of_hostile_patches_hold(device, first):
-    found = [drawn_violations(seed, 96, device, seed % 5 == 0) for seed in range(first, first + 10)]
+    found = [drawn_violations(seed, 256, device, seed % 3 == 0) for seed in range(first, first + 6)]
     assert [text for _, broken in found for text in broken] == []
 
 
@@ -177,7 +178,7 @@ def test_drawn_teapot_holds_with_its_rings(teapot, main_view, device):
         assert np.all(triangle_error(teapot.patches(), captured, main_view) <= 0.5)
         triangles.append(triangle_counts(factors.inner, factors.edges).sum())
     renderer.release()
-    assert triangles[1] < 0.9 * triangles[0]
+    assert triangles[1] <= 0.85 * triangles[0]
 
 
 def test_pairs_save_triangles(teapot, main_view):

@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 # Each layer may import itself and those before it.
 LAYERS = [
     {"errors"},
-    {"bezier", "view", "layout", "edges", "tessellator", "slefe_tables", "arguments", "rings"},
+    {"bezier", "view", "layout", "edges", "tessellator", "slefe_tables", "arguments", "rings", "fewest"},
     {
         "slefe",
         "bspline",
@@ -22,6 +22,7 @@ LAYERS = [
         "optimum",
         "rivals",
         "estimate",
+        "nets",
         "certified",
         "verified",
         "rules",
@@ -31,7 +32,7 @@ LAYERS = [
         "io",
         "data",
     },
-    {"certificate", "factors", "minimal", "covering"},
+    {"certificate", "drawn", "factors", "minimal", "covering"},
     {"scene", "testing"},
 ]
 ANALYSIS = set().union(*LAYERS)

@@ -26,8 +26,8 @@ def test_levels_for_cells_that_are_wider_than_they_should_be():
     assert np.all(pattern.cells(levels[1:4]) <= 1 / np.array([1.0, 7.5, 62.9]))
 
 
-def never(patch, side, width, length):
-    return np.zeros(len(patch), bool)
+def never(patch, side, across):
+    return np.zeros(len(patch))
 
 
 def test_equal_levels_when_nothing_else_is_allowed():
@@ -48,8 +48,8 @@ def test_a_single_quad_stays_one():
 
 
 def test_everything_allowed_leaves_the_larger_neighbour():
-    def always(patch, side, width, length):
-        return np.ones(len(patch), bool)
+    def always(patch, side, across):
+        return np.ones(len(patch))
 
     numbers = np.array([[0, 1, 2, 3], [2, 4, 5, 6]])
     found, edges = safe_levels(np.array([[4, 4], [7, 7]]), numbers, direct3d11(), always)
