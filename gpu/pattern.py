@@ -14,7 +14,7 @@ _ACROSS = 4  # inner level in the other direction: the ring along an edge does n
 
 
 def measure_pattern(device: Device | None = None) -> Pattern:
-    """Capture the rings of all pairs of levels up to 64, and the cells of all inner grids.
+    """Capture the rings of all pairs of levels up to 64, and the lines of all inner grids.
 
     >>> measure_pattern().reach[6, 8] * 6                                   # doctest: +SKIP
     1.5
@@ -23,7 +23,8 @@ def measure_pattern(device: Device | None = None) -> Pattern:
     quad = np.array([[[0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0]]], np.float64)
     view = View(Camera.orthographic((0.5, 0.5, 5.0), (0.5, 0.5, 0.0), up=(0, 1, 0)), 16, 16)
     renderer = Renderer(np.repeat(quad[None], count, axis=0), device)
-    cell, reach = np.ones(count + 1), np.zeros((count + 1, count + 1))
+    points, reach = np.ones((count + 1, count + 1)), np.zeros((count + 1, count + 1))
+    points[:, 0] = 0.0
     outer = np.full((count, 4), _ACROSS)
     outer[:, 1] = np.arange(1, count + 1)
     for n in range(2, count + 1):
@@ -32,8 +33,7 @@ def measure_pattern(device: Device | None = None) -> Pattern:
         u, v = np.moveaxis(triangles.parameters.astype(np.float64), 2, 0)
         ring = (v.min(axis=1) == 0) & (v.max(axis=1) < 1.5 / _ACROSS)
         np.maximum.at(reach[n], triangles.patch[ring] + 1, np.ptp(u[ring], axis=1))
-        lines = np.unique(u[(v > 0) & (v < 1)])
-        cell[n] = np.diff(np.concatenate([[0.0], lines, [1.0]])).max()
+        points[n, 1:n] = np.unique(u[(v > 0) & (v < 1) & (u > 0) & (u < 1)])
     renderer.release()
     reach[1] = reach[2]
-    return Pattern(cell, reach)
+    return Pattern(points, reach)

@@ -1,9 +1,9 @@
-"""What can be asked of certified factors: boxes of any shape, pairs of levels, longest triangles of strips."""
+"""What can be asked of certified factors: boxes of any shape, grids as a tessellator draws them, longest triangles."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -19,8 +19,7 @@ from slefejax.rings import Pattern
 from slefejax.tessellator import HIGHEST_LEVEL
 
 _RATIOS = 2.0 ** (np.arange(-20, 21) / 4.0)  # of n_u to n_v that are tried
-_SMALLER_STEPS = 4  # how often a level is made smaller by one, where that is still allowed
-_WORSE = 1.4  # pairs with at most so many times the fewest cells are made smaller
+_SMALLER_STEPS = 4  # how often each of a pair is made smaller by one, where that is still allowed
 _STEPS = 6  # towards the longest triangle
 _JUST_BELOW = 0.995  # where a step aims: a length that is not quite allowed is worth nothing
 _BATCH = 2**16
@@ -34,6 +33,8 @@ class Certificate:
     tolerances : in pixels, and of depth or None
     tiles      : along each side of a patch
     pattern    : of the tessellator
+    proof      : tells of patches (their numbers, levels) whether they can be proved cell by cell to keep the tolerance
+                 on the tessellator's grids; None: that is not tried
     scale      : that of ``Factors.scaled``: with 0.9, levels are what the certificate asks for, times 0.9
     """
 
@@ -42,18 +43,40 @@ class Certificate:
     tolerances: tuple[Any, Any]
     tiles: int
     pattern: Pattern
+    proof: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
     scale: float = 1.0
 
-    def factors(
-        self, nets: Float[np.ndarray, "n nu nv dim"], extents: Float[np.ndarray, "n 2"]
-    ) -> Float[np.ndarray, "n"]:
-        """Certified factors of control nets for halves of boxes of sides extent/n; 0 for an unseen patch."""
-        return self._in_batches(_boxes_jit, nets, extents, self.tiles)
+    def scaled(self, scale: float) -> Certificate:
+        """The same for levels of so many times the fineness: what is proved for n is taken for scale times n."""
+        proof = self.proof
 
-    def keeps(self, nets: Float[np.ndarray, "n nu nv dim"], sides: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        """Whether all halves of boxes with such sides in the domain keep the tolerance."""
+        def coarser(patch: np.ndarray, levels: np.ndarray) -> np.ndarray:
+            assert proof is not None
+            # a little more, so that 0.9 times 10 stands for 10
+            return proof(patch, np.maximum(np.floor(levels / scale + 1e-9).astype(np.int64), 1))
+
+        return replace(self, scale=self.scale * scale, proof=None if proof is None else coarser)
+
+    def factors(
+        self, nets: Float[np.ndarray, "n nu nv dim"], extents: Float[np.ndarray, "n 2"], evenness: Any = 1.0
+    ) -> Float[np.ndarray, "n"]:
+        """Certified factors of control nets for halves of boxes of sides extent/n; 0 for an unseen patch.
+
+        evenness : of boxes with sides from so many times that on, ``(n,)`` or a number; 0: of all smaller boxes
+        """
+        numbers = np.column_stack([extents, np.broadcast_to(evenness, len(nets))])
+        return self.scale * self._in_batches(_boxes_jit, nets, numbers, self.tiles)
+
+    def grids_keep(self, patch: Int[np.ndarray, "n"], levels: Int[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+        """Whether patches keep the tolerance on grids of that many cells along u and v, even and as they are drawn."""
+        sides = self.pattern.cells(levels)
         size = np.sqrt(sides[:, 0] * sides[:, 1])
-        return self.factors(nets, sides / size[:, None]) * size * self.scale <= 1.0
+        evenness = self.pattern.narrowest(levels).min(axis=1)
+        fine = self.factors(self.patches[patch], sides / size[:, None], evenness) * size <= 1.0
+        if self.proof is not None:
+            open_ones = np.flatnonzero(~fine)
+            fine[open_ones] = self.proof(patch[open_ones], levels[open_ones])
+        return fine
 
     def longest(
         self,
@@ -66,72 +89,70 @@ class Certificate:
         numbers = np.stack([along, shortest, longest], axis=1)
         return self._in_batches(_longest_jit, nets, numbers, self.scale, self.tiles)
 
+    def for_all_boxes(self, levels: Int[np.ndarray, "patches 2"]) -> Int[np.ndarray, "patches 2"]:
+        """Levels in the ratio of those given from which on all grids keep the tolerance, raised along u, v or both.
+
+        The highest that can be drawn where these could not be drawn but that one is enough.
+        """
+        u, v = np.maximum(levels, 1).T
+        extents = np.stack([np.sqrt(v / u), np.sqrt(u / v)], axis=1)
+        factor = self.factors(self.patches, extents, 0.0)[:, None]
+        found = self.pattern.levels_for(np.maximum(factor / extents, factor > 0))
+        high = np.flatnonzero(np.any(found > HIGHEST_LEVEL, axis=1))
+        fine = high[self.grids_keep(high, np.full((len(high), 2), HIGHEST_LEVEL))]
+        found[fine] = HIGHEST_LEVEL
+        return found
+
     @cached_property
     def swept(self) -> Int[np.ndarray, "patches ratios 2"]:
-        """Levels along u and v that keep the tolerance, for a row of ratios between them; 0 for an unseen patch."""
+        """Levels along u and v of about the fineness that is needed, for a row of ratios; 0 for an unseen patch."""
         found = []
         for ratio in _RATIOS:
             extents = np.array([ratio**-0.5, ratio**0.5])
-            factor = self.scale * self.factors(self.patches, np.broadcast_to(extents, (len(self.patches), 2)))
+            factor = self.factors(self.patches, np.broadcast_to(extents, (len(self.patches), 2)))
             found.append(self.pattern.levels_for(np.maximum(factor[:, None] / extents, factor[:, None] > 0)))
         return np.stack(found, axis=1)
 
-    def pairs(self) -> Float[np.ndarray, "patches 2"]:
-        """Real factors along u and v for the fewest triangles of a grid; 0 for an unseen patch.
+    def pairs(self) -> Int[np.ndarray, "patches 2"]:
+        """Levels along u and v with the fewest cells that were found to keep the tolerance; 0 for an unseen patch.
 
-        The best pair of whole levels that were swept is made smaller, one level at a time, while that is allowed.
+        The best pair that was swept is made smaller, one level at a time, while that is allowed.
         """
-        best = self.swept[np.arange(len(self.patches)), np.argmin(self.swept.prod(axis=2), axis=1)]
+        best = self.for_all_boxes(np.ones((len(self.patches), 2), np.int64))
+        open_ones = np.flatnonzero(best[:, 0] > 0)
+        rank = np.argsort(self.swept.prod(axis=2), axis=1, kind="stable")
+        for place in range(len(_RATIOS)):
+            pair = self.swept[open_ones, rank[open_ones, place]]
+            open_ones, pair = (x[pair.prod(axis=1) < best[open_ones].prod(axis=1)] for x in (open_ones, pair))
+            fine = self.grids_keep(open_ones, pair)
+            best[open_ones[fine]] = pair[fine]
+            open_ones = open_ones[~fine]
         for axis in (0, 1) * _SMALLER_STEPS:
             smaller = best - np.eye(2, dtype=np.int64)[axis]
             patch = np.flatnonzero(smaller[:, axis] >= 1)
-            fine = patch[self.keeps(self.patches[patch], self.pattern.cells(smaller[patch]))]
+            fine = patch[self.grids_keep(patch, smaller[patch])]
             best[fine] = smaller[fine]
-        return np.where(best > 0, 1.0 / self.pattern.cells(np.maximum(best, 1)), 0.0)
+        return best
 
-    def smallest(self, known: Int[np.ndarray, "patches 2"]) -> Int[np.ndarray, "patches n"]:
-        """For every level along u up to 64 the smallest one along v that is known to do; 65 if there is none.
-
-        known : levels that do
-        """
-        every = np.concatenate([self.swept, known[:, None]], axis=1)
-        patch = np.broadcast_to(np.arange(len(every))[:, None], every.shape[:2])
-        drawn = np.all((every > 0) & (every <= HIGHEST_LEVEL), axis=2)
-        least = np.full((len(every), HIGHEST_LEVEL + 1), HIGHEST_LEVEL + 1)
-        np.minimum.at(least, (patch[drawn], every[drawn, 0]), every[drawn, 1])
-        level = np.arange(HIGHEST_LEVEL + 1)
-        for _ in range(_SMALLER_STEPS):
-            least = np.minimum.accumulate(least, axis=1)
-            cells = np.where(least <= HIGHEST_LEVEL, level * least, np.inf)
-            cells[:, 0] = np.inf
-            near = (cells <= _WORSE * cells.min(axis=1, keepdims=True)) & (least > 1) & np.isfinite(cells)
-            patch, u = np.nonzero(near)
-            v = least[patch, u] - 1
-            fine = self.keeps(self.patches[patch], self.pattern.cells(np.stack([u, v], axis=1)))
-            least[patch[fine], u[fine]] = v[fine]
-        return np.minimum.accumulate(least, axis=1)
-
-    def _in_batches(
-        self, jitted: Callable[..., Any], nets: np.ndarray, numbers: np.ndarray, *static: Any
-    ) -> np.ndarray:
+    def _in_batches(self, jitted: Callable[..., Any], nets: np.ndarray, numbers: np.ndarray, *more: Any) -> np.ndarray:
         dtype, found = self.patches.dtype, []
         for at in range(0, len(nets), _BATCH):
             own = [np.asarray(x[at : at + _BATCH], dtype) for x in (nets, numbers)]
             # whole chunks, so that few shapes are compiled
             filled = [np.pad(x, [(0, -len(x) % layout.LANES)] + [(0, 0)] * (x.ndim - 1), mode="edge") for x in own]
             packed = [jnp.asarray(layout.pack(x)) for x in filled]
-            chunks = jitted(*packed, self.projection, self.tolerances, *static)
+            chunks = jitted(*packed, self.projection, self.tolerances, *more)
             found.append(np.asarray(layout.unpack(chunks, len(own[0])), np.float64))
         return np.concatenate(found) if found else np.zeros(0)
 
 
 @partial(jax.jit, static_argnums=4)
-def _boxes_jit(packed: Any, extents: Any, projection: Projection, tolerances: tuple[Any, Any], tiles: int) -> Any:
+def _boxes_jit(packed: Any, numbers: Any, projection: Projection, tolerances: tuple[Any, Any], tiles: int) -> Any:
     def kernel(both: tuple[Any, Any]) -> Any:
-        control, extent = both
-        return certified_factor(control, projection, *tolerances, (extent[0], extent[1]), tiles=tiles)
+        control, (e_u, e_v, evenness) = both
+        return certified_factor(control, projection, *tolerances, (e_u, e_v), evenness, tiles=tiles)
 
-    return jax.lax.map(kernel, (packed, extents))
+    return jax.lax.map(kernel, (packed, numbers))
 
 
 @partial(jax.jit, static_argnums=5)
@@ -140,13 +161,13 @@ def _longest_jit(
 ) -> Any:
     def kernel(both: tuple[Any, Any]) -> Any:
         control, (along, shortest, longest) = both
+        bound = partial(certified_factor, control, projection, *tolerances, tiles=tiles, any_triangle=True)
 
         def closer(_: Any, known: tuple[Any, ...]) -> tuple[Any, ...]:
             found, length, before, value_before = known
             size = jnp.sqrt(length)
             extent = (jnp.where(along == 0, size, 1.0 / size), jnp.where(along == 0, 1.0 / size, size))
-            factor = certified_factor(control, projection, *tolerances, extent, tiles=tiles, any_triangle=True)
-            value = jnp.maximum(factor * size * scale, 1e-3)
+            value = jnp.maximum(bound(extent) * size * scale, 1e-3)
             found = jnp.where(value <= 1.0, jnp.maximum(found, length), found)
             # value is about a power of the length, of an exponent up to 1
             rise = jnp.log(value / value_before) / jnp.log(length / before)

@@ -14,7 +14,8 @@ from slefejax.rings import ALONG, Pattern, safe_levels
 from slefejax.tessellator import HIGHEST_LEVEL
 
 _WORSE = 1.4  # pairs with at most so many times the fewest cells may be chosen
-_CHOICES = 64
+_AROUND = np.arange(-3, 4)  # levels along v around those that were swept, for every level along u
+_CHOICES = 128
 _RAISED = 4  # an isotropic patch chooses from so many levels from its own on, along u and along v
 _BLOCK = 2**12  # patches whose strips are held at once
 
@@ -24,21 +25,22 @@ Numbers = Int[np.ndarray, "patches 4"]
 
 
 def drawn_levels(
-    certificate: Certificate, factors: Float[np.ndarray, "patches 2"], numbers: Numbers, anisotropic: bool
+    certificate: Certificate, inner: Pairs, numbers: Numbers, anisotropic: bool
 ) -> tuple[Pairs, Int[np.ndarray, "patches 4"]]:
     """Inner and outer levels with few triangles, all of which keep the tolerance; 0 for unseen patches.
 
-    factors : certified along u and v
+    inner   : levels that are about enough, along u and v
     numbers : equal for shared edges (``slefejax.edges``)
 
-    Where the highest level that can be drawn would not do, patches and their neighbours get what they need by
-    themselves: nothing draws them so.
+    The search begins with levels that no grid is too coarse for whatever the other level is, so that they can be raised
+    until rings fit. Where the highest level that can be drawn would not do, patches and their neighbours get what they
+    need by themselves: nothing draws them so.
     """
     pattern = certificate.pattern
-    inner = pattern.levels_for(factors)
-    choices = _unequal(certificate, inner) if anisotropic else _raised(inner)
+    plain = certificate.for_all_boxes(inner)
+    choices = _that_keep(certificate, _unequal(certificate, inner) if anisotropic else _raised(inner), plain)
     strips = Strips.of(certificate, choices, widths=8 if anisotropic else 3)
-    start, edges = safe_levels(inner, numbers, pattern, strips.longest)
+    start, edges = safe_levels(plain, numbers, pattern, strips.longest)
     drawable = np.all((start > 0) & (start <= HIGHEST_LEVEL), axis=1)
     free = np.flatnonzero(drawable)
     if not free.size:
@@ -57,6 +59,18 @@ def drawn_levels(
     return start, edges
 
 
+def _that_keep(certificate: Certificate, choices: Choices, plain: Pairs) -> Choices:
+    """Choices that keep the tolerance on their grids, as many as the patch with the most has, and what always does."""
+    base = choices.max() + 1
+    keys = ((np.arange(len(choices))[:, None] * base + choices[..., 0]) * base + choices[..., 1]).ravel()
+    keys, inverse = np.unique(keys, return_inverse=True)
+    fine = certificate.grids_keep(keys // base**2, np.stack([keys // base % base, keys % base], axis=1))
+    fine = fine[inverse].reshape(choices.shape[:2])
+    order = np.argsort(~fine, axis=1, kind="stable")[:, : fine.sum(axis=1).max()]
+    choices = np.where(fine[:, :, None], choices, plain[:, None])
+    return np.concatenate([plain[:, None], np.take_along_axis(choices, order[:, :, None], axis=1)], axis=1)
+
+
 def _raised(inner: Pairs) -> Choices:
     """A few levels from each patch's own on."""
     more = np.stack(np.meshgrid(np.arange(_RAISED), np.arange(_RAISED), indexing="ij"), axis=-1).reshape(-1, 2)
@@ -64,13 +78,18 @@ def _raised(inner: Pairs) -> Choices:
 
 
 def _unequal(certificate: Certificate, inner: Pairs) -> Choices:
-    """Pairs with few cells that keep the tolerance."""
+    """Pairs with few cells, around those that were swept."""
+    every = np.concatenate([certificate.swept, inner[:, None]], axis=1)
+    patch = np.broadcast_to(np.arange(len(every))[:, None], every.shape[:2])
+    drawn = np.all((every > 0) & (every <= HIGHEST_LEVEL), axis=2)
+    least = np.full((len(every), HIGHEST_LEVEL + 1), 2 * HIGHEST_LEVEL)
+    np.minimum.at(least, (patch[drawn], every[drawn, 0]), every[drawn, 1])
     u = np.arange(HIGHEST_LEVEL + 1)[:, None]
-    v = certificate.smallest(inner)[:, :, None] + np.arange(_RAISED)
+    v = np.maximum(np.minimum.accumulate(least, axis=1)[:, :, None] + _AROUND, 1)
     cells = np.where((u > 0) & (v <= HIGHEST_LEVEL), u * v, np.inf).reshape(len(inner), -1)
     order = np.argsort(cells, axis=1, kind="stable")[:, :_CHOICES]
     few = np.take_along_axis(cells, order, axis=1)
-    few = (few <= _WORSE * few[:, :1]) & np.isfinite(few)
+    few = (few <= _WORSE * inner.prod(axis=1)[:, None]) & np.isfinite(few)
     pairs = np.stack([np.broadcast_to(u, v.shape[1:]).ravel()[order], _rows(v, order)], axis=2)
     return _acting(np.where(few[:, :, None], pairs, inner[:, None]))
 

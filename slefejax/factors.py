@@ -24,7 +24,7 @@ from slefejax.estimate import Projection, slefe_factor
 from slefejax.rings import Pattern, direct3d11
 from slefejax.rules import RULES, SETTINGS, on_screen
 from slefejax.tiles import check_weights
-from slefejax.verified import verified_factors
+from slefejax.verified import Nets, drawn_grids_hold, verified_factors
 from slefejax.view import View
 
 METHODS = ("certified", "slefe", *RULES)
@@ -39,14 +39,14 @@ class Factors:
     factor  : ``(patches,)``, real, before rounding up; 0 for a patch that is off-screen
     patches : the control points, from which shared edges are found when they are asked for; None inside a trace
     known   : the result of ``slefejax.edges.shared_edges`` if it is there already
-    pairs   : ``(patches, 2)``, real factors along u and v, if they were asked for (``anisotropic``)
-    certificate : of certified factors: decides whether transition rings keep the tolerance too
+    pairs   : ``(patches, 2)``, levels along u and v with few cells, if they were asked for (``anisotropic``)
+    certificate : of certified factors: decides what grids and transition rings keep the tolerance
     """
 
     factor: Float[Array | np.ndarray, "patches"]
     patches: Any = field(default=None, repr=False)
     known: Int[np.ndarray, "patches 4"] | None = field(default=None, repr=False)
-    pairs: Float[np.ndarray, "patches 2"] | None = field(default=None, repr=False)
+    pairs: Int[np.ndarray, "patches 2"] | None = field(default=None, repr=False)
     certificate: Certificate | None = field(default=None, repr=False)
 
     @cached_property
@@ -86,18 +86,15 @@ class Factors:
     @cached_property
     def _drawn(self) -> tuple[np.ndarray, np.ndarray]:
         if self.certificate is not None:
-            real = np.repeat(np.asarray(self.factor)[:, None], 2, axis=1) if self.pairs is None else self.pairs
-            _ = self.levels  # raises for factors that are no levels
-            return drawn_levels(self.certificate, real, self.edge_numbers, self.pairs is not None)
+            inner = np.repeat(self.levels[:, None], 2, axis=1) if self.pairs is None else self.pairs
+            return drawn_levels(self.certificate, inner, self.edge_numbers, self.pairs is not None)
         return np.repeat(self.levels[:, None], 2, axis=1), edge_maxima(self.levels, self.edge_numbers)
 
     def scaled(self, scale: float) -> Factors:
         """The same with every factor multiplied by ``scale`` > 0, to see whether less would do."""
         check_positive("a scale", scale)
-        pairs = None if self.pairs is None else self.pairs * scale
-        certificate = (
-            None if self.certificate is None else replace(self.certificate, scale=self.certificate.scale * scale)
-        )
+        certificate = None if self.certificate is None else self.certificate.scaled(scale)
+        pairs = None if self.pairs is None else np.ceil(self.pairs * scale).astype(np.int64)
         return replace(self, factor=self.factor * scale, pairs=pairs, certificate=certificate)
 
     def tree_flatten(self) -> tuple[tuple[Any], None]:
@@ -193,9 +190,14 @@ def tessellation_factors(
     if method != "certified":
         return Factors(factor, patches, edge_numbers)
     concrete = np.asarray(patches, dtype)
+    pattern = pattern or direct3d11()
+    proof = None
     if verify:
-        factor = verified_factors(np.asarray(factor), np.asarray(patches), projection, (scales[0], scales[1]))
-    certificate = Certificate(concrete, projection, (scales[0], scales[1]), int(tiles), pattern or direct3d11())
+        # in double precision, whatever the patches are in
+        nets = Nets.of(np.asarray(patches), Projection.of(view), (tolerance, depth_tolerance))
+        factor = verified_factors(np.asarray(factor), nets)
+        proof = partial(drawn_grids_hold, nets, pattern)
+    certificate = Certificate(concrete, projection, (scales[0], scales[1]), int(tiles), pattern, proof)
     pairs = certificate.pairs() if anisotropic else None
     return Factors(factor, patches, edge_numbers, pairs, certificate)
 

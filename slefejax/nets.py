@@ -1,6 +1,8 @@
-"""Control nets as lists, along u, of lists, along v, of arrays ``(lanes,)``: one array a coefficient.
+"""Control nets of many patches, in one of two forms.
 
-That is what the compiler makes fast code of: on the CPU it is tens of times faster than larger arrays.
+Unrolled, a net is a list, along u, of lists, along v, of arrays ``(lanes,)``: one array a coefficient. The CPU runs
+that faster than larger arrays, but the compiler takes longer the more coefficients there are, and for reverse mode
+forever. As an array, a net is ``(nu, nv, lanes)``: slower, and compiled in a second whatever the degree.
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ from itertools import pairwise
 from math import comb
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -17,29 +20,84 @@ from slefejax.bezier import restrict
 from slefejax.estimate import larger, smaller
 
 Lanes = Any  # (lanes,)
-Net = list[list[Lanes]]
+Net = Any  # [[(lanes,), ...], ...] or (nu, nv, lanes)
+
+
+def coordinates(control: Any, unrolled: bool) -> list[Net]:
+    """One net for every coordinate of ``(nu, nv, dim, lanes)``."""
+    nu, nv, dim, _ = control.shape
+    if unrolled:
+        return [[[control[i, j, a] for j in range(nv)] for i in range(nu)] for a in range(dim)]
+    return [control[:, :, a] for a in range(dim)]
+
+
+def each(function: Callable[..., Any], *nets: Net) -> Net:
+    """The function of corresponding coefficients."""
+    if isinstance(nets[0], list):
+        return [[function(*c) for c in zip(*rows, strict=True)] for rows in zip(*nets, strict=True)]
+    return function(*nets)
+
+
+def top(net: Net) -> Lanes:
+    """The largest coefficient."""
+    return _tree(larger, net) if isinstance(net, list) else jnp.max(net, axis=(0, 1))
+
+
+def bottom(net: Net) -> Lanes:
+    """The smallest coefficient."""
+    return _tree(smaller, net) if isinstance(net, list) else jnp.min(net, axis=(0, 1))
+
+
+def size(net: Net) -> int:
+    """How many coefficients there are; 0 for a derivative that is identically 0 by degree."""
+    return len(net) and len(net) * len(net[0])
+
+
+def degrees(net: Net) -> tuple[int, int]:
+    """Degrees along u and v."""
+    return len(net) - 1, len(net[0]) - 1
 
 
 def derivative(net: Net, i: int, j: int) -> Net:
-    """Coefficients of the derivative, i times by u and j times by v; empty if it is identically 0 by degree."""
+    """Coefficients of the derivative, i times by u and j times by v; none if it is identically 0 by degree."""
     for _ in range(i):
         d = len(net) - 1
-        net = scaled([[b - a for a, b in zip(*pair, strict=True)] for pair in pairwise(net)], d)
-    if j and net:
+        if isinstance(net, list):
+            net = [[(b - a) * d if d != 1 else b - a for a, b in zip(*pair, strict=True)] for pair in pairwise(net)]
+        else:
+            net = (net[1:] - net[:-1]) * d
+    if j and size(net):
         return transposed(derivative(transposed(net), j, 0))
     return net
 
 
-def raised(net: Net, degree: int) -> Net:
-    """The same polynomial with a higher degree along u."""
-    low = len(net) - 1
-    rows = []
-    for i in range(degree + 1):
-        used = range(max(0, i - degree + low), min(low, i) + 1)
-        shares = [comb(low, k) * comb(degree - low, i - k) / comb(degree, i) for k in used]
-        parts = [scaled([net[k]], share)[0] for k, share in zip(used, shares, strict=True)]
-        rows.append([total(list(column)) for column in zip(*parts, strict=True)])
-    return rows
+def raised(net: Net, du: int, dv: int) -> Net:
+    """The same polynomials with higher degrees."""
+    # numbers of Python's own, which leave single precision as it is
+    return combined(net, _raising(len(net) - 1, du).tolist(), _raising(len(net[0]) - 1, dv).tolist())
+
+
+def combined(net: Net, u: Any, v: Any) -> Net:
+    """u times the net times v transposed, for matrices of numbers or (unrolled) lists of lanes."""
+    if not isinstance(net, list):
+        u, v = (jnp.asarray(x, net.dtype) for x in (u, v))
+        return jnp.einsum("ia,jb,abl->ijl", u, v, net, precision=jax.lax.Precision.HIGHEST)
+    columns = transposed(net)
+    rows = [[_weighted(line, column) for column in columns] for line in u]
+    return [[_weighted(line, row) for line in v] for row in rows]
+
+
+def transposed(net: Net) -> Net:
+    """u and v exchanged."""
+    return [list(row) for row in zip(*net, strict=True)] if isinstance(net, list) else jnp.swapaxes(net, 0, 1)
+
+
+def total(values: list[Any]) -> Any:
+    """Their sum; ``sum`` would begin with 0."""
+    whole = values[0]
+    for value in values[1:]:
+        whole = whole + value
+    return whole
 
 
 def tile_matrices(nu: int, nv: int, tiles: int) -> tuple[np.ndarray, np.ndarray]:
@@ -49,68 +107,25 @@ def tile_matrices(nu: int, nv: int, tiles: int) -> tuple[np.ndarray, np.ndarray]
     return np.stack([u for u, _ in pairs]), np.stack([v for _, v in pairs])
 
 
-def entries_of(matrix: Any, like: Lanes) -> list[list[Lanes]]:
-    """Entries of a matrix as lanes."""
-    return [[jnp.broadcast_to(x, like.shape) for x in row] for row in matrix]
+def _raising(low: int, high: int) -> np.ndarray:
+    """The matrix ``(high+1, low+1)`` that raises a degree."""
+    raising = np.zeros((high + 1, low + 1))
+    for i in range(high + 1):
+        for k in range(max(0, i - high + low), min(low, i) + 1):
+            raising[i, k] = comb(low, k) * comb(high - low, i - k) / comb(high, i)
+    return raising
 
 
-def restricted(net: Net, u: list[list[Lanes]], v: list[list[Lanes]]) -> Net:
-    """Coefficients on a part of the domain, for the matrices along u and v (``tile_matrices``)."""
-    columns = transposed(net)
-    rows = [[total([a * c for a, c in zip(line, column, strict=True)]) for column in columns] for line in u]
-    return [[total([a * c for a, c in zip(line, row, strict=True)]) for line in v] for row in rows]
+def _weighted(weights: Any, values: list[Lanes]) -> Lanes:
+    """The weighted sum, without what is known to be 0."""
+    used = [(w, x) for w, x in zip(weights, values, strict=True) if not (isinstance(w, float) and w == 0.0)]
+    return total([x if isinstance(w, float) and w == 1.0 else x * w for w, x in used])
 
 
-def image(points: list, row: list) -> Net:
-    """A row of the projection applied to all control points."""
-    return [
-        [total([m * x for m, x in zip(row, c, strict=False)] + ([row[3]] if len(c) == 3 else [])) for c in line]
-        for line in points
-    ]
-
-
-def scaled(net: Net, factor: Any) -> Net:
-    """All coefficients times a number."""
-    return net if isinstance(factor, (int, float)) and factor == 1 else [[c * factor for c in row] for row in net]
-
-
-def total(values: list[Any]) -> Any:
-    """Their sum; ``sum`` would begin with 0."""
-    total = values[0]
-    for value in values[1:]:
-        total = total + value
-    return total
-
-
-def points(control: Any) -> list:
-    """Control points as lists of coordinates."""
-    return [[list(control[i, j]) for j in range(control.shape[1])] for i in range(control.shape[0])]
-
-
-def entries(net: Net) -> list[Lanes]:
-    """All coefficients in one list, v fastest."""
-    return [entry for row in net for entry in row]
-
-
-def transposed(net: Net) -> Net:
-    """u and v exchanged."""
-    return [list(row) for row in zip(*net, strict=True)]
-
-
-def top(values: list[Lanes]) -> Lanes:
-    """The largest."""
-    return _tree(larger, values)
-
-
-def bottom(values: list[Lanes]) -> Lanes:
-    """The smallest."""
-    return _tree(smaller, values)
-
-
-def _tree(choose: Callable[[Lanes, Lanes], Lanes], values: list[Lanes]) -> Lanes:
+def _tree(choose: Callable[[Lanes, Lanes], Lanes], net: list[list[Lanes]]) -> Lanes:
     """All values in pairs, the results in pairs, ...: compiles faster than one after the other."""
+    values = [entry for row in net for entry in row]
     while len(values) > 1:
-        values = [choose(*pair) for pair in zip(values[::2], values[1::2], strict=False)] + values[
-            len(values) // 2 * 2 :
-        ]
+        pairs = zip(values[::2], values[1::2], strict=False)
+        values = [choose(*pair) for pair in pairs] + values[len(values) // 2 * 2 :]
     return values[0]

@@ -32,22 +32,34 @@ Longest = Callable[[np.ndarray, np.ndarray, np.ndarray], Float[np.ndarray, "n"]]
 class Pattern:
     """How far the triangles of a tessellator reach in the domain 0 ... 1.
 
-    cell  : ``(65,)``, the widest cell of inner grids with n or more cells, index n
-    reach : ``(65, 65)``, the longest extent along an edge of the triangles between it and the inner grid, for the
-            inner level n along the edge (1 acts as 2) and the edge's own level m, index (n, m)
+    points : ``(65, 65)``, where the lines of an inner grid with n cells are, index (n, 0 ... n); 1 from there on
+    reach  : ``(65, 65)``, the longest extent along an edge of the triangles between it and the inner grid, for the
+             inner level n along the edge (1 acts as 2) and the edge's own level m, index (n, m)
     """
 
-    cell: Float[np.ndarray, "n"]
+    points: Float[np.ndarray, "n lines"]
     reach: Float[np.ndarray, "n m"]
 
-    def __post_init__(self) -> None:
-        """A level that is raised must not widen cells."""
-        object.__setattr__(self, "cell", np.maximum.accumulate(self.cell[::-1])[::-1])
+    @cached_property
+    def cell(self) -> Float[np.ndarray, "n"]:
+        """The widest cell of the grids with n or more cells, index n: a level that is raised never widens cells."""
+        widest = np.diff(self.points, axis=1).max(axis=1)
+        return np.maximum.accumulate(widest[::-1])[::-1]
+
+    @cached_property
+    def evenness(self) -> Float[np.ndarray, "n"]:
+        """The narrowest cell of a grid with n cells over ``cell``, index n."""
+        widths = np.diff(self.points, axis=1)
+        return np.where(widths > 0, widths, 1.0).min(axis=1) / self.cell
 
     def cells(self, levels: Int[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
         """The widest cell for levels; 1/n beyond what a tessellator can draw."""
         drawn = self.cell[np.minimum(levels, HIGHEST_LEVEL)]
         return np.where(levels <= HIGHEST_LEVEL, drawn, 1.0 / np.maximum(levels, 1))
+
+    def narrowest(self, levels: Int[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+        """The narrowest cell over the widest one; 1 beyond what a tessellator can draw."""
+        return np.where(levels <= HIGHEST_LEVEL, self.evenness[np.minimum(levels, HIGHEST_LEVEL)], 1.0)
 
     def levels_for(self, factors: Float[np.ndarray, "*shape"]) -> Int[np.ndarray, "*shape"]:
         """The smallest levels whose cells are no wider than 1/factor."""
@@ -87,12 +99,13 @@ class Pattern:
 def direct3d11() -> Pattern:
     """The pattern of Direct3D 11's tessellator."""
     text = resources.files("slefejax.data").joinpath("direct3d11.csv").read_text()
-    table = np.array([[int(x) for x in line.split(",")] for line in text.splitlines() if not line.startswith("#")])
-    reach = np.zeros((HIGHEST_LEVEL + 1, HIGHEST_LEVEL + 1))
-    cell = np.ones(HIGHEST_LEVEL + 1)
-    cell[2:], reach[2:, 1:] = table[:, 1] / UNIT, table[:, 2:] / UNIT
+    rows = [[int(x) / UNIT for x in line.split(",")] for line in text.splitlines() if not line.startswith("#")]
+    points, reach = np.ones((HIGHEST_LEVEL + 1, HIGHEST_LEVEL + 1)), np.zeros((HIGHEST_LEVEL + 1, HIGHEST_LEVEL + 1))
+    points[:, 0] = 0.0
+    for n, row in enumerate(rows, start=2):
+        reach[n, 1:], points[n, 1:n] = row[:HIGHEST_LEVEL], row[HIGHEST_LEVEL:]
     reach[1] = reach[2]
-    return Pattern(cell, reach)
+    return Pattern(points, reach)
 
 
 def safe_levels(inner: Pairs, numbers: Edges, pattern: Pattern, longest: Longest) -> tuple[Pairs, Edges]:

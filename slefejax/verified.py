@@ -1,6 +1,6 @@
-"""Smaller factors by a proof cell by cell (docs/certified.md, section 6): the costlier setting of certified factors.
+"""Smaller factors by a proof cell by cell (docs/certified.md, section 7): the costlier setting of certified factors.
 
-For a number n below the certified factor all cells of the n x n grid are looked at. On a cell the error is that of a
+For numbers below the certified factor all cells of the grid are looked at. On a cell the error is that of a
 lattice q times as fine, for which a crude bound is enough, plus a function that is linear between the points of the
 lattice, so that its values there are its largest. Nothing is sampled in the sense that something could be missed.
 """
@@ -17,11 +17,14 @@ from jaxtyping import Bool, Float, Int
 
 from slefejax import layout
 from slefejax.bezier import bernstein, combine, derivative
-from slefejax.estimate import Projection
+from slefejax.estimate import Projection, larger
+from slefejax.rings import Pattern
+from slefejax.tessellator import HIGHEST_LEVEL
 from slefejax.view import homogeneous
 
 _FINER = 12  # q
-_HIGHEST = 512  # factors above are left as they are
+_HIGHEST = 128  # factors above are left as they are: proofs take time as the square
+_TRIED = 16  # numbers below a factor that are tried, at most
 _BATCH = 2**15  # cells at once
 _ROUNDING = 256.0 * np.finfo(np.float64).eps
 
@@ -61,22 +64,16 @@ def _bends(control: np.ndarray) -> np.ndarray:
     return sum(times * np.abs(part).max(axis=(0, 1), initial=0.0) for times, part in parts) / 8.0  # type: ignore
 
 
-def verified_factors(
-    factor: Float[np.ndarray, "patches"],
-    patches: np.ndarray,
-    projection: Projection,
-    tolerances: tuple[Any, Any],
-) -> Float[np.ndarray, "patches"]:
+def verified_factors(factor: Float[np.ndarray, "patches"], nets: Nets) -> Float[np.ndarray, "patches"]:
     """Certified factors, or the smallest whole numbers from which on every grid up to them is proved fine.
 
     Grids are tried from the certified one downwards until one cannot be proved.
     """
-    nets = Nets.of(patches, projection, tolerances)
     factor = np.asarray(factor, np.float64).copy()
     trial = np.ceil(factor).astype(np.int64) - 1
     open_ones = np.flatnonzero((trial >= 1) & (factor <= _HIGHEST))
-    while open_ones.size:
-        fine = grids_hold(nets, open_ones, trial[open_ones])
+    for _ in range(_TRIED):
+        fine = grids_hold(nets, open_ones, np.repeat(trial[open_ones, None], 2, axis=1))
         open_ones = open_ones[fine]
         factor[open_ones] = trial[open_ones]
         trial[open_ones] -= 1
@@ -84,25 +81,47 @@ def verified_factors(
     return factor
 
 
-def grids_hold(nets: Nets, patch: Int[np.ndarray, "n"], levels: Int[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
-    """Whether a patch cut into level x level cells, with either diagonal, is proved to keep the tolerances."""
-    ends = np.cumsum(levels**2)
+def drawn_grids_hold(
+    nets: Nets, pattern: Pattern, patch: Int[np.ndarray, "n"], levels: Int[np.ndarray, "n 2"]
+) -> Bool[np.ndarray, "n"]:
+    """Whether grids are proved to keep the tolerances, both with equal cells and as the tessellator draws them."""
+    holds = np.all(levels <= HIGHEST_LEVEL, axis=1)
+    for points in (pattern.points, None):
+        open_ones = np.flatnonzero(holds)
+        holds[open_ones] = grids_hold(nets, patch[open_ones], levels[open_ones], points)
+    return holds
+
+
+def grids_hold(
+    nets: Nets, patch: Int[np.ndarray, "n"], levels: Int[np.ndarray, "n 2"], points: np.ndarray | None = None
+) -> Bool[np.ndarray, "n"]:
+    """Whether patches cut into that many cells along u and v, with either diagonal, are proved to keep the tolerances.
+
+    points : where the lines of a grid are, ``Pattern.points``; None: equal cells
+    """
+    counts = levels.prod(axis=1)
+    ends = np.cumsum(counts)
     holds = np.ones(len(patch), bool)
-    for start in range(0, int(ends[-1]), _BATCH):
+    for start in range(0, int(ends[-1]) if len(ends) else 0, _BATCH):
         index = np.arange(start, min(start + _BATCH, int(ends[-1])))
         which = np.searchsorted(ends, index, side="right")
         keep = holds[which]
         index, which = index[keep], which[keep]
         if not index.size:
             continue
-        i, j = np.divmod(index - (ends[which] - levels[which] ** 2), levels[which])
-        np.logical_and.at(holds, which, _cells_hold(nets, patch[which], i, j, levels[which]))
+        cell = np.stack(np.divmod(index - (ends[which] - counts[which]), levels[which, 1]), axis=1)
+        low, high = (_line(cell + k, levels[which], points) for k in (0, 1))
+        np.logical_and.at(holds, which, _cells_hold(nets, patch[which], low, high - low))
     return holds
 
 
-def _cells_hold(nets: Nets, patch: Any, i: Any, j: Any, level: Any) -> np.ndarray:
+def _line(index: np.ndarray, levels: np.ndarray, points: np.ndarray | None) -> np.ndarray:
+    return index / levels if points is None else points[levels, index]
+
+
+def _cells_hold(nets: Nets, patch: np.ndarray, low: np.ndarray, sides: np.ndarray) -> np.ndarray:
     with jax.enable_x64(True):
-        lanes = np.column_stack([patch, i / level, j / level, 1.0 / level]).astype(np.float64)
+        lanes = np.column_stack([patch, low, sides]).astype(np.float64)
         packed = jnp.asarray(layout.pack(np.pad(lanes, [(0, -len(lanes) % layout.LANES), (0, 0)], mode="edge")))
         arrays = [jnp.asarray(x) for x in nets[:5]]
         return np.asarray(layout.unpack(_cells_jit(packed, *arrays, nets.rows), len(lanes)))
@@ -121,14 +140,14 @@ def _cell_holds(lanes: Any, control: Any, half: Any, bends: Any, sizes: Any, flo
     own, bend, size, low = control[..., patch], bends[:, patch], sizes[:, patch], floor[patch]
     steps = jnp.asarray(np.arange(_FINER + 1) / _FINER)
     a, b = steps[:, None, None], steps[None, :, None]
-    points = _tensor(own, lanes[1] + steps[:, None] * lanes[3], lanes[2] + steps[:, None] * lanes[3])
+    points = _tensor(own, lanes[1] + steps[:, None] * lanes[3], lanes[2] + steps[:, None] * lanes[4])
     p00, p01, p10, p11 = (points[:, k, m, None, None] for k in (0, -1) for m in (0, -1))
     rising = jnp.where(a >= b, p00 + a * (p10 - p00) + b * (p11 - p10), p00 + b * (p01 - p00) + a * (p11 - p01))
     falling = jnp.where(
         a + b <= 1, p00 + a * (p10 - p00) + b * (p01 - p00), p11 + (1 - a) * (p01 - p11) + (1 - b) * (p10 - p11)
     )
     w = points[3]
-    finest = (lanes[3] / _FINER) ** 2
+    finest = (larger(lanes[3], lanes[4]) / _FINER) ** 2
     lowest = jnp.min(w, axis=(0, 1)) - bend[3] * finest - _ROUNDING * size[3]
     deep = lowest >= low
     divisor = jnp.where(deep, lowest, 1.0)
@@ -145,14 +164,15 @@ def _cell_holds(lanes: Any, control: Any, half: Any, bends: Any, sizes: Any, flo
                 lattice = jnp.maximum(lattice, jnp.max(values, axis=(0, 1)))
             rest = (bend[r] + jnp.abs(s) * bend[3]) * finest + _ROUNDING * (size[r] + jnp.abs(s) * size[3])
             worst = jnp.maximum(worst, (lattice + rest) / divisor)
-    return (deep & (worst <= 1.0)) | _outside(points, half)
+    return (deep & (worst <= 1.0)) | _outside(points, half, size)
 
 
-def _outside(points: Any, half: Any) -> Any:
+def _outside(points: Any, half: Any, size: Any) -> Any:
     """Whether the corners of a cell, hence all points drawn of it, lie outside of one plane of the view volume."""
     corners = points[:, :: points.shape[1] - 1, :: points.shape[2] - 1]
     reach = half[:, None, None, None] * corners[3]
-    sides = jnp.concatenate([reach - corners[:3], reach + corners[:3]])
+    rounding = (_ROUNDING * (size[:3] + half[:, None] * size[3]))[:, None, None]
+    sides = jnp.concatenate([reach - corners[:3] + rounding, reach + corners[:3] + rounding])
     return jnp.any(jnp.all(sides < 0, axis=(1, 2)), axis=0)
 
 
