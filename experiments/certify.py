@@ -68,7 +68,9 @@ class Certify:
             record = {"scene": names, "notes": notes, "summary": summary, "opengl": {"renderer": device.renderer}}
             out = run.finish(rows, record)
         broken = sum(row["sup_error_px"] > self.tolerance or row["drawn_sup_error_px"] > self.tolerance for row in rows)
+        high = sum(max(row["inner_u"], row["inner_v"]) > HIGHEST_LEVEL for row in rows)
         title = f"{names}: certified factors at {self.tolerance:g} px, {broken} of {len(rows)} patches above it"
+        title += f", {high} need levels above {HIGHEST_LEVEL} and are drawn with that" if high else ""
         return Report(names, out, rows, title, notes + _sentences(summary), {"summary": summary}, self.output.json)
 
 
@@ -131,7 +133,7 @@ def _measure(scene: Scene, view: View, options: Certify, run: Run, number: int) 
                 "method": method,
                 "patches": len(patches),
                 "triangles": int(triangle_counts(inner, edges).sum()),
-                "uniform_triangles": int(2 * np.sum(own.levels**2)),
+                "uniform_triangles": int(2 * np.sum(own.levels**2 if own.pairs is None else own.pairs.prod(axis=1))),
                 "minimal_triangles": int(2 * np.sum(minimal**2)),
                 "capped_patches": int(np.sum(own.inner.max(axis=1) > HIGHEST_LEVEL)),
                 "sup_error_px": float(uniform.max()),

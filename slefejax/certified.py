@@ -24,7 +24,7 @@ Extent = tuple[Any, Any]  # sides of the box that holds a triangle, in units of 
 
 _CUBIC = 1.0 / (12.0 * 27.0**0.5)  # the largest (1 - z^2) z / 24
 _THIRD = ((3, 0, 1.0), (2, 1, 3.0), (1, 2, 3.0), (0, 3, 1.0))  # d/du, d/dv, multiplicity
-_UNROLLED = 20  # coefficients that are still unrolled
+_UNROLLED = 16  # coefficients that are still unrolled
 _ROUNDING = 16.0  # a coefficient of a tile is wrong by at most half of this, in eps of the sum of its terms' sizes
 
 

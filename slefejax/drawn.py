@@ -65,7 +65,7 @@ def _that_keep(certificate: Certificate, choices: Choices, plain: Pairs) -> Choi
     keys = ((np.arange(len(choices))[:, None] * base + choices[..., 0]) * base + choices[..., 1]).ravel()
     keys, inverse = np.unique(keys, return_inverse=True)
     fine = certificate.grids_keep(keys // base**2, np.stack([keys // base % base, keys % base], axis=1))
-    fine = fine[inverse].reshape(choices.shape[:2])
+    fine = fine[inverse].reshape(choices.shape[:2]) & np.all(choices <= HIGHEST_LEVEL, axis=2)
     order = np.argsort(~fine, axis=1, kind="stable")[:, : fine.sum(axis=1).max()]
     choices = np.where(fine[:, :, None], choices, plain[:, None])
     return np.concatenate([plain[:, None], np.take_along_axis(choices, order[:, :, None], axis=1)], axis=1)

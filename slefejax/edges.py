@@ -16,8 +16,12 @@ order. An edge whose control points all coincide is a point, and is shared with 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float, Int
+
+from slefejax.errors import InputError
 
 EDGES = ("u=0", "v=0", "u=1", "v=1")
 
@@ -65,6 +69,17 @@ def _number_by_first_use(rows: np.ndarray) -> np.ndarray:
     rank = np.empty(len(first), int)
     rank[np.argsort(first)] = np.arange(len(first))
     return rank[inverse.ravel()]
+
+
+def check_edge_numbers(numbers: Any, count: int) -> Int[np.ndarray, "patches 4"]:
+    """The numbers of edges as an array, or InputError."""
+    numbers = np.asarray(numbers)
+    if numbers.shape != (count, 4) or not np.issubdtype(numbers.dtype, np.integer) or np.any(numbers < 0):
+        raise InputError(
+            f"edge_numbers must be whole numbers from 0 on, ({count}, 4), equal for shared edges, not"
+            f" {numbers.dtype} {numbers.shape}: shared_edges makes them"
+        )
+    return numbers.astype(np.int64)
 
 
 def edge_maxima(

@@ -18,7 +18,7 @@ from slefejax.arguments import Number, Patches, Segments, check_patches, check_p
 from slefejax.certificate import Certificate
 from slefejax.certified import certified_factors
 from slefejax.drawn import drawn_levels
-from slefejax.edges import edge_maxima, shared_edges
+from slefejax.edges import check_edge_numbers, edge_maxima, shared_edges
 from slefejax.errors import InputError
 from slefejax.estimate import Projection, slefe_factor
 from slefejax.rings import Pattern, direct3d11
@@ -51,7 +51,12 @@ class Factors:
 
     @cached_property
     def levels(self) -> Int[np.ndarray, "patches"]:
-        """The factors rounded up to whole numbers. Raises InputError for factors too large to be such numbers."""
+        """The factors rounded up to whole numbers.
+
+        Raises InputError for factors too large to be such numbers, and inside of jit, grad and the like.
+        """
+        if isinstance(self.factor, Tracer):
+            raise InputError("levels are whole numbers: ask for levels, inner and edges outside of jit and grad")
         rounded = np.ceil(np.asarray(self.factor, np.float64))
         if not np.all(rounded < _LARGEST_LEVEL):
             worst = int(np.argmax(rounded))
@@ -139,7 +144,8 @@ def tessellation_factors(
     tiles           : of ``certified``: into how many pieces along u and along v a patch is cut to bound it. More are
                       tighter and cost more, tiles^2; 1 is the cheapest. Static
     anisotropic     : of ``certified``: ``.inner`` differs along u and v where that saves triangles
-    verify          : of ``certified``: smaller whole numbers are proved cell by cell, which is slower and tighter
+    verify          : of ``certified``: smaller whole numbers are proved cell by cell, which is slower and tighter, for
+                      factors up to 128
     segments        : m, or (m_u, m_v); static; of ``slefe``
     tolerance       : pixels
     depth_tolerance : window depth (0 to 1), or None for no depth test; of ``certified`` and ``slefe``
@@ -147,15 +153,16 @@ def tessellation_factors(
     setting         : of ``edge-length`` (pixels a piece), ``screen-box`` (mu, pixels), ``fixed`` (the factor);
                       None: 8, 1, 16
     pattern         : of ``certified``: how the tessellator makes transition rings; None: as Direct3D 11 says
-    edge_numbers    : the result of ``shared_edges``, if it is already known
+    edge_numbers    : ``(patches, 4)``, the result of ``shared_edges``, if it is already known
 
     Returns Factors: ``.factor`` (at least 1 on the screen, 0 off it), ``.inner`` and ``.edges``.
     ``slefe``: only tiles whose boxes reach into the view volume count; where a box touches or lies behind the near
     plane it is measured as if it lay in it, which is as near as anything is drawn; nothing is divided by a smaller W.
-    Differentiable by patches, camera, tolerance and k.
+    Differentiable by patches, camera, tolerance and k, in forward and reverse mode. A traced tolerance that is not
+    positive gives NaN.
 
     Raises InputError for wrong shapes, control points that are not finite (with the patch's number), segments or tiles
-    < 1, or a tolerance or k that is not positive.
+    < 1, a tolerance or k that is not positive, or results that overflow.
 
     >>> from slefejax import Camera, load
     >>> scene = load("teapot")
@@ -168,6 +175,10 @@ def tessellation_factors(
     _check_method(method, patches.shape[3], depth_tolerance, setting)
     asked = {"anisotropic": anisotropic, "verify": verify, "pattern": pattern is not None}
     _check_numbers(method, asked, tiles, {"tolerance": tolerance, "k": k, "depth_tolerance": depth_tolerance})
+    if pattern is not None and not isinstance(pattern, Pattern):
+        raise InputError(f"pattern must be a slefejax.rings.Pattern, not {type(pattern).__name__}")
+    if edge_numbers is not None:
+        edge_numbers = check_edge_numbers(edge_numbers, len(patches))
     if not isinstance(view, View):
         raise InputError(f"the view must be a slefejax.View (a camera and a picture size), not {type(view).__name__}")
     dtype = jax.dtypes.canonicalize_dtype(patches.dtype)
@@ -206,7 +217,12 @@ def tessellation_factors(
 def _factors_jit(packed: Any, projection: Projection, scales: tuple, method: str, fineness: Any) -> Any:
     if method == "certified":
         factor: Any = certified_factors(packed, projection, scales, fineness)
-        return jnp.where(_harmless(packed, projection, (1, 2, 3)), factor, jnp.nan)
+        fine = _harmless(packed, projection, (1, 2, 3))
+        for scale in scales:
+            if scale is not None:
+                # control points are divided by it
+                fine &= (scale > 0) & _harmless(packed / scale, projection, (1, 2, 3))
+        return jnp.where(fine, factor, jnp.nan)
     kernel = partial(slefe_factor, segments=fineness) if method == "slefe" else _seen(RULES[method])
     return layout.over_chunks(_unless_bad(kernel), packed, projection, *scales)
 
@@ -265,4 +281,6 @@ def _check_result(factor: np.ndarray, patches: np.ndarray) -> None:
     where = f"patch {bad[0]}" + (f" and {bad.size - 1} more" if bad.size > 1 else "")
     if not np.isfinite(patches[bad[0]]).all():
         raise InputError(f"{where} (counted from 0) has control points that are not finite numbers: repair or drop it")
-    raise InputError(f"the factor of {where} (counted from 0) overflows {factor.dtype}: scale the scene")
+    raise InputError(
+        f"the factor of {where} (counted from 0) overflows {factor.dtype}: scale the scene, or raise the tolerance"
+    )

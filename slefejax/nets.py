@@ -60,15 +60,13 @@ def degrees(net: Net) -> tuple[int, int]:
 
 def derivative(net: Net, i: int, j: int) -> Net:
     """Coefficients of the derivative, i times by u and j times by v; none if it is identically 0 by degree."""
+    if not isinstance(net, list):
+        du, dv = degrees(net)
+        return combined(net, _differences(du, i), _differences(dv, j))
     for _ in range(i):
         d = len(net) - 1
-        if isinstance(net, list):
-            net = [[(b - a) * d if d != 1 else b - a for a, b in zip(*pair, strict=True)] for pair in pairwise(net)]
-        else:
-            net = (net[1:] - net[:-1]) * d
-    if j and size(net):
-        return transposed(derivative(transposed(net), j, 0))
-    return net
+        net = [[(b - a) * d if d != 1 else b - a for a, b in zip(*pair, strict=True)] for pair in pairwise(net)]
+    return transposed(derivative(transposed(net), j, 0)) if j and net else net
 
 
 def raised(net: Net, du: int, dv: int) -> Net:
@@ -114,6 +112,14 @@ def _raising(low: int, high: int) -> np.ndarray:
         for k in range(max(0, i - high + low), min(low, i) + 1):
             raising[i, k] = comb(low, k) * comb(high - low, i - k) / comb(high, i)
     return raising
+
+
+def _differences(degree: int, order: int) -> np.ndarray:
+    """The matrix ``(degree+1-order, degree+1)`` that differentiates, without rows if nothing remains."""
+    matrix = np.eye(degree + 1)
+    for k in range(order):
+        matrix = (degree - k) * np.diff(matrix, axis=0)
+    return matrix
 
 
 def _weighted(weights: Any, values: list[Lanes]) -> Lanes:

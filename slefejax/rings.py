@@ -16,6 +16,7 @@ from importlib import resources
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
 
+from slefejax.errors import InputError
 from slefejax.tessellator import HIGHEST_LEVEL
 
 UNIT = 2**16  # of the table in the file
@@ -39,6 +40,13 @@ class Pattern:
 
     points: Float[np.ndarray, "n lines"]
     reach: Float[np.ndarray, "n m"]
+
+    def __post_init__(self) -> None:
+        """Raises InputError for tables of other sizes."""
+        size = (HIGHEST_LEVEL + 1, HIGHEST_LEVEL + 1)
+        for name in ("points", "reach"):
+            if np.shape(getattr(self, name)) != size:
+                raise InputError(f"the {name} of a pattern must be {size}, not {np.shape(getattr(self, name))}")
 
     @cached_property
     def cell(self) -> Float[np.ndarray, "n"]:

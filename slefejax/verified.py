@@ -149,7 +149,7 @@ def _cell_holds(lanes: Any, control: Any, half: Any, bends: Any, sizes: Any, flo
     w = points[3]
     finest = (larger(lanes[3], lanes[4]) / _FINER) ** 2
     lowest = jnp.min(w, axis=(0, 1)) - bend[3] * finest - _ROUNDING * size[3]
-    deep = lowest >= low
+    deep = lowest >= 0.5 * low  # away from 0; it is itself what W is at least
     divisor = jnp.where(deep, lowest, 1.0)
     worst = jnp.zeros_like(lowest)
     for r in range(rows):

@@ -272,9 +272,46 @@ def test_gradients_against_differences(rng):
     check_gradients(quads, jnp.asarray([4.5, -6.0, 4.0]), 1)
 
 
-@pytest.mark.slow
-def test_gradients_on_the_teapot(teapot):
-    check_gradients(jnp.asarray(teapot.patches()[:8]), jnp.asarray([4.5, -6.0, 4.0]), 2)
+def test_gradients_on_the_teapot(teapot, rng):
+    """A little off the teapot: its symmetries make coefficients equal, where the largest has no derivative."""
+    points = teapot.patches()[:8] + 1e-3 * rng.normal(size=(8, 4, 4, 3))
+    check_gradients(jnp.asarray(points), jnp.asarray([4.5, -6.0, 4.0]), 2)
+
+
+def test_forward_mode_and_second_derivatives(rng, main_view):
+    """Along one direction: slopes of both modes agree, and the slope of the slope with differences of it."""
+    points, direction = jnp.asarray(rng.normal(size=(2, 4, 2, 3, 3)) + [0.0, 0.0, 1.2])
+
+    def along(t):
+        return tessellation_factors(points + t * direction, main_view, tiles=1).factor.sum()
+
+    slope = jax.jit(jax.jacfwd(along))
+    assert float(slope(0.0)) == pytest.approx(float(jax.grad(along)(0.0)), rel=1e-12)
+    bend = float(jax.jit(jax.jacfwd(jax.jacfwd(along)))(1e-3))
+    h = 1e-6
+    assert bend == pytest.approx(float(slope(1e-3 + h) - slope(1e-3 - h)) / (2 * h), rel=1e-4)
+
+
+def test_traced_tolerances(teapot, main_view):
+    """What cannot be refused inside of jit is not a number; it is not 0, which stands for unseen."""
+    factors = jax.jit(lambda t: tessellation_factors(teapot.patches(), main_view, tolerance=t).factor)
+    assert np.isnan(factors(-0.5)).all()
+    np.testing.assert_allclose(factors(0.5), tessellation_factors(teapot.patches(), main_view).factor, rtol=1e-12)
+
+
+@pytest.mark.parametrize("tiles", [2, 3])
+def test_tiles_off_the_screen_need_not_be_cut(rng, tiles):
+    """Half of each patch is far to the right of the picture and curved; no visible point is wrong for it."""
+    u = np.linspace(0, 1, 4)
+    patches = np.zeros((40, 4, 4, 3))
+    patches[..., 0], patches[..., 1] = 900 * u[:, None] - 100, 200 * u
+    patches[:, 3] += rng.normal(size=(40, 4, 3)) * [60, 60, 0]
+    view = View(Camera.orthographic((150, 100, 5), (150, 100, 0), up=(0, 1, 0), height=300.0), 300, 300)
+    one = tessellation_factors(patches, view, tiles=1)
+    more = tessellation_factors(patches, view, tiles=tiles)
+    assert np.mean(more.levels / one.levels) < 0.9
+    for extra in range(4):
+        assert sampled_error(patches, more.levels + extra, view).max() <= 0.5
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,118 @@
+"""The inequalities of docs/certified.md, each by itself, against dense sampling."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from slefejax import layout
+from slefejax.certified import _CUBIC, _of_any_triangle, _of_half_cell, certified_factor
+from slefejax.estimate import Projection
+
+from .hostile import case
+
+HESSIANS = np.random.default_rng(3).normal(size=(3, 500)) * 10.0 ** np.random.default_rng(4).uniform(-2, 2, (3, 500))
+
+
+def half_cell(count: int = 60) -> tuple[np.ndarray, np.ndarray]:
+    """Points (p, q) of the triangle (0,0), (1,0), (1,1)."""
+    p, q = np.meshgrid(np.linspace(0, 1, count), np.linspace(0, 1, count))
+    return p[q <= p], q[q <= p]
+
+
+def test_second_moments_of_half_a_cell():
+    """(5): a P + 2 b B + c Q is at most sigma max(P, Q), and gets there."""
+    p, q = half_cell()
+    a, b, c = HESSIANS[:, :, None]
+    big_p, big_q, big_b = p * (1 - p), q * (1 - q), q * (1 - p)
+    for sign in (1, -1):  # the other diagonal
+        left = np.abs(a * big_p + 2 * sign * b * big_b + c * big_q)
+        sigma = np.asarray(_of_half_cell(*HESSIANS))
+        assert np.all(left <= sigma[:, None] * np.maximum(big_p, big_q) * (1 + 1e-12))
+    both = [np.abs(a * big_p + 2 * s * b * big_b + c * big_q).max(axis=1) for s in (1, -1)]
+    np.testing.assert_allclose(np.maximum(*both) * 4, sigma, rtol=2e-3)
+
+
+def test_cells_that_are_narrower_one_way():
+    """The measure for uneven cells is at least that of all of them."""
+    a, b, c = HESSIANS
+    for evenness in (0.0, 0.5, 0.98):
+        bound = np.asarray(_of_half_cell(a, b, c, evenness))
+        for s in np.linspace(evenness, 1, 9):
+            for t in np.linspace(evenness, 1, 9):
+                assert np.all(_of_half_cell(a * s * s, b * s * t, c * t * t) <= bound * (1 + 1e-12))
+
+
+def test_any_triangle_in_a_box():
+    """The largest |a x^2 + 2 b x z + c z^2| over the square is at most the measure, and mostly not much smaller."""
+    x, z = np.meshgrid(np.linspace(-1, 1, 201), np.linspace(-1, 1, 201))
+    a, b, c = HESSIANS
+    largest = np.array([np.abs(i * x * x + 2 * j * x * z + k * z * z).max() for i, j, k in HESSIANS.T])
+    ratio = np.asarray(_of_any_triangle(a, b, c)) / largest
+    assert ratio.min() >= 1 - 1e-12
+    assert ratio.max() <= 1.25 + 1e-3
+    half = np.asarray(_of_half_cell(a, b, c))
+    assert np.all(half <= np.asarray(_of_any_triangle(a, b, c)) * (1 + 1e-12))
+
+
+def test_moments_of_triangles_in_a_box(rng):
+    """At any point of any triangle: second, third and fourth moments along an axis."""
+    corners = rng.uniform(0, 1, (2000, 3, 2))
+    shares = rng.dirichlet(np.ones(3), 2000)
+    offset = corners - (shares[:, :, None] * corners).sum(axis=1, keepdims=True)
+    sides = np.ptp(corners, axis=1)
+    for power, largest in ((2, 1 / 4), (3, 1 / 8), (4, 1 / 12)):
+        moment = (shares[:, :, None] * np.abs(offset) ** power).sum(axis=1)
+        assert np.all(moment <= largest * sides**power * (1 + 1e-12))
+    mixed = (shares * np.abs(offset[..., 0] * offset[..., 1])).sum(axis=1)
+    assert np.all(mixed <= sides.prod(axis=1) / 4 * (1 + 1e-12))
+
+
+@pytest.mark.parametrize("least", [1.0, 3.0])
+def test_third_order_of_half_a_cell(rng, least):
+    """(6) for random cubics, cells of 1/n with n >= m, at all points of half a cell."""
+    p, q = half_cell(40)
+    monomials = [(i, j) for i in range(4) for j in range(4 - i)]
+    for _ in range(200):
+        n = least * rng.uniform(1.0, 3.0)
+        weights = {ij: rng.normal() * (0.05 if rng.random() < 0.5 and sum(ij) == 2 else 1.0) for ij in monomials}
+        u, v = p / n, q / n
+
+        def value(u, v, i=0, j=0, weights=weights):
+            """The derivative (i, j) of the cubic."""
+            total = np.zeros(np.shape(u))
+            for (k, m), weight in weights.items():
+                if k >= i and m >= j:
+                    scale = np.prod(np.arange(k - i + 1, k + 1)) * np.prod(np.arange(m - j + 1, m + 1))
+                    total = total + weight * scale * u ** (k - i) * v ** (m - j)
+            return total
+
+        f00, f10, f11 = value(0.0, 0.0), value(1 / n, 0.0), value(1 / n, 1 / n)
+        error = np.abs(value(u, v) - (f00 + p * (f10 - f00) + q * (f11 - f10)))
+        along_u = abs(value(0.0, 0.0, 3, 0)) + 3 * abs(value(0.0, 0.0, 2, 1))
+        along_v = abs(value(0.0, 0.0, 0, 3)) + 3 * abs(value(0.0, 0.0, 1, 2))
+        more, less = max(along_u, along_v), min(along_u, along_v)
+        second = np.asarray(_of_half_cell(value(u, v, 2, 0), value(u, v, 1, 1), value(u, v, 0, 2)))
+        bound = np.maximum(second, more / least) / (8 * n**2) + (_CUBIC * more + less / 288) / n**3
+        assert np.all(error <= bound * (1 + 1e-9) + 1e-15)
+
+
+@pytest.mark.parametrize("seed", [11, 24, 25, 30])
+@pytest.mark.parametrize("any_triangle", [False, True])
+def test_both_forms_of_nets_are_one_computation(seed, any_triangle):
+    hostile = case(seed, 64)
+    packed = jnp.asarray(layout.pack(hostile.patches))
+    projection = Projection.of(hostile.view)
+    found = []
+    for unrolled in (True, False):
+        kernel = partial(
+            certified_factor, tiles=2, any_triangle=any_triangle, unrolled=unrolled, extent=(0.8, 1.25), evenness=0.9
+        )
+        found.append(
+            jax.jit(lambda p, kernel=kernel: layout.over_chunks(lambda x: kernel(x, projection, 0.5, 1e-3), p))(packed)
+        )
+    np.testing.assert_allclose(*found, rtol=1e-9)
