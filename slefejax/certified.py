@@ -71,29 +71,33 @@ def certified_factor(
     screen = Screen.of(control, projection, tolerance, depth_tolerance, unrolled)
     whole = Piece.of(screen, screen.rows, screen.w, 1)
     remainders = [_remainder(row, screen.w, ends, extent) for row, ends in zip(screen.rows, whole.ends, strict=True)]
-    least = _least_square(screen, whole, extent)
     measure = _of_any_triangle if any_triangle else partial(_of_half_cell, evenness=evenness)
-    inverse = 1.0 / jnp.sqrt(least)
     bends = [_largest_sum(net, extent) for net in (*screen.rows[:2], screen.w)]
     if tiles == 1:
-        square = _square(screen, whole, remainders, bends[2], extent, inverse, measure)
+        # n is at least what the corners need, which is known without a second loop
+        least = _least_square(screen, whole, extent)
+        inverse = 1.0 / jnp.sqrt(least)
+        square = _square(screen, whole, remainders, bends[2], extent, measure, inverse)
+        square = larger(square, jnp.where(least > 1.0, least, 0.0))
     else:
 
         def step(largest: Lanes, matrices: tuple[Any, Any]) -> tuple[Lanes, None]:
             if unrolled:
                 # lanes all the same: with single numbers the compiler would split the loop
-                matrices = jax.tree.map(lambda x: jnp.broadcast_to(x[..., None], (*x.shape, least.size)), matrices)
+                matrices = jax.tree.map(
+                    lambda x: jnp.broadcast_to(x[..., None], (*x.shape, screen.w_size.size)), matrices
+                )
             *rows, w = (nets.combined(net, *matrices) for net in (*screen.rows, screen.w))
             piece = Piece.of(screen, rows, w, tiles)
-            square = _square(screen, piece, remainders, bends[2], extent, inverse, measure)
+            square = _square(screen, piece, remainders, bends[2], extent, measure)
             return larger(largest, smaller(square, _last_visible(screen, piece, bends))), None
 
         matrices = nets.tile_matrices(control.shape[0], control.shape[1], tiles)
         matrices = jax.tree.map(lambda x: jnp.asarray(x, control.dtype), matrices)
-        square, _ = jax.lax.scan(step, jnp.zeros_like(least), matrices)
+        square, _ = jax.lax.scan(step, jnp.zeros_like(screen.w_size), matrices)
     rounded = 1.0 + 128.0 * jnp.finfo(control.dtype).eps
     # a bound that 1 fulfils is not rounded up: flat patches are one quad
-    square = larger(larger(square, jnp.where(least > 1.0, least, 0.0)) * rounded, jnp.ones_like(least))
+    square = larger(square * rounded, jnp.ones_like(square))
     return jnp.sqrt(jnp.where(screen.visible, square, 1.0)) * jnp.where(screen.visible, 1.0, 0.0)
 
 
@@ -207,10 +211,13 @@ def _square(
     remainders: list[Remainder],
     w_bend: Lanes,
     extent: Extent,
-    inverse: Lanes,
     measure: Callable[..., Lanes],
+    inverse: Lanes | None = None,
 ) -> Lanes:
-    """n^2 at which the bound for the points of a tile is 1, if 1/n is at most ``inverse``."""
+    """n^2 at which the bound for the points of a tile is at most 1.
+
+    inverse : 1/n is at most that; None: what the second derivatives say
+    """
     depth = _hessian(piece.w, extent)
     degree = sum(nets.degrees(piece.w))
     rounding = 2.0 * _ROUNDING * screen.eps * (degree**2 / 8.0 + degree**3 / 24.0 + degree**4 / 72.0)
@@ -219,13 +226,14 @@ def _square(
         hessian = _hessian(row, extent)
         tops = [nets.top(_measured(measure, s, hessian, depth, piece.inverse)) for s in ends]
         largest = larger(*tops) * piece.scale
+        upper = 1.0 / jnp.sqrt(larger(largest / 8.0, jnp.ones_like(largest))) if inverse is None else inverse
         more, less = larger(remainder.along_u, remainder.along_v), smaller(remainder.along_u, remainder.along_v)
         if measure is _of_any_triangle:
             third = (more + less) / 48.0
         else:
             third = _CUBIC * more + less / 288.0
-            largest = larger(largest, more * piece.widest * inverse)
-        rest = (third + remainder.fourth * inverse) * inverse + w_bend / 8.0 + rounding * size
+            largest = larger(largest, more * piece.widest * upper)
+        rest = (third + remainder.fourth * upper) * upper + w_bend / 8.0 + rounding * size
         squares.append(largest / 8.0 + rest * piece.widest)
     return _largest(squares)
 

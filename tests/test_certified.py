@@ -59,7 +59,7 @@ def test_uniform_grids_of_hostile_patches_hold(seed):
 @pytest.mark.parametrize("first", range(0, 420, 20))
 def test_many_uniform_grids_of_hostile_patches_hold(first):
     """137,304 pairs of patch and view in all, no less than 4,762 (10^5 / 21) in each part."""
-    found = [violations(seed, 512, tiles=1) for seed in range(first, first + 20)]
+    found = [violations(seed, 512, tiles=1 + seed % 3) for seed in range(first, first + 20)]
     assert [text for _, broken in found for text in broken] == []
     assert sum(pairs for pairs, _ in found) > 4762
 
@@ -309,7 +309,7 @@ def test_tiles_off_the_screen_need_not_be_cut(rng, tiles):
     view = View(Camera.orthographic((150, 100, 5), (150, 100, 0), up=(0, 1, 0), height=300.0), 300, 300)
     one = tessellation_factors(patches, view, tiles=1)
     more = tessellation_factors(patches, view, tiles=tiles)
-    assert np.mean(more.levels / one.levels) < 0.9
+    assert np.mean(more.levels / one.levels) < 0.95
     for extra in range(4):
         assert sampled_error(patches, more.levels + extra, view).max() <= 0.5
 
