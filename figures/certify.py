@@ -83,7 +83,7 @@ def _plot_ratio(axes: Axes, summary: Rows, names: list[str], key: str, over: str
         )
         axes.bar_label(bars, [f"{h:.2f}" for h in heights], fontsize=9)
     axes.axhline(1.0, color="0.2", lw=1)
-    axes.set_xticks(range(len(names)), names)
+    axes.set_xticks(range(len(names)), [name.replace("-", "-\n") for name in names])
     axes.set_yscale("log")
     axes.set_ylabel(title)
     axes.set_title("what it costs in triangles")
@@ -101,6 +101,6 @@ def _plot_times(axes: Axes, summary: Rows, names: list[str]) -> None:
             np.array(there) + 0.27 * (k - 1), heights, 0.25, label=method, color=METHOD_STYLES[method]["color"]
         )
         axes.bar_label(bars, [f"{h:.1f}" for h in heights], fontsize=9)
-    axes.set_xticks(range(len(names)), names)
+    axes.set_xticks(range(len(names)), [name.replace("-", "-\n") for name in names])
     axes.set_ylabel("milliseconds a view, once compiled")
     axes.set_title("what it costs in time")
