@@ -55,7 +55,7 @@ def test_saddles_hold_with_the_levels_that_are_drawn(rng, anisotropic, verify):
     numbers = rng.permutation(4 * count).reshape(count, 4) // 2
     view = flat_on(20000.0)
     factors = tessellation_factors(
-        quadratics(a, b, c), view, anisotropic=anisotropic, verify=verify, edge_numbers=numbers
+        quadratics(a, b, c), view, tiles=1, anisotropic=anisotropic, verify=verify, edge_numbers=numbers
     )
     drawable = factors.inner.max(axis=1) <= 64
     assert np.mean(drawable) > 0.9
@@ -68,7 +68,7 @@ def test_a_saddle_beside_a_finely_cut_patch():
     patches = quadratics([a, 4 * 15.9**2], [0.5 * a, 0.0], [-a, 0.0])
     numbers = np.arange(8).reshape(2, 4)
     numbers[1, 0] = numbers[0, 0]
-    factors = tessellation_factors(patches, flat_on(1000.0), edge_numbers=numbers)
+    factors = tessellation_factors(patches, flat_on(1000.0), tiles=1, edge_numbers=numbers)
     assert factors.factor[0] == pytest.approx(7.98, rel=1e-6)
     assert np.all(sampled_error(patches, factors.inner, flat_on(1000.0)) <= 0.5)
     assert sampled_error(patches[:1], np.array([[8, 16]]), flat_on(1000.0))[0] > 0.6
@@ -78,7 +78,7 @@ def test_a_saddle_beside_a_finely_cut_patch():
 def test_cells_of_unequal_width(level):
     """The widest cell times the narrowest one is what a saddle minds, not the widest squared."""
     a = 4 * (0.9999 / PATTERN.cell[level]) ** 2
-    factors = tessellation_factors(quadratics(a, 0.5 * a, -a), flat_on(8000.0))
+    factors = tessellation_factors(quadratics(a, 0.5 * a, -a), flat_on(8000.0), tiles=1)
     assert exact_errors(a, 0.5 * a, -a, np.array([[level, level]])) > 0.505
     assert factors.inner[0, 0] in (level + 1, level + 2)
     assert exact_errors(a, 0.5 * a, -a, factors.inner) <= 0.5
@@ -124,7 +124,7 @@ def test_single_precision_proofs_far_from_the_origin(rng):
     """The view is not rounded to the patches' precision before a proof."""
     patches = (rng.normal(size=(4, 3, 3, 3)) + [5e4, 0, 0]).astype(np.float32)
     view = View(Camera.look_at((5e4, -8, 3), (5e4, 0, 0), near=0.01, far=100.0), 800, 600)
-    factors = tessellation_factors(patches, view, verify=True, tolerance=2.0)
+    factors = tessellation_factors(patches, view, tiles=1, verify=True, tolerance=2.0)
     error = sampled_error(patches.astype(np.float64), factors.levels, view)
     assert np.all(error <= 2.0)
 
@@ -132,7 +132,7 @@ def test_single_precision_proofs_far_from_the_origin(rng):
 def test_scaled_proofs():
     """What is proved for n is taken for scale times n."""
     a = 4 * 7.5**2
-    factors = tessellation_factors(quadratics(a, 0.0, a * 0.05), flat_on(1000.0), verify=True)
+    factors = tessellation_factors(quadratics(a, 0.0, a * 0.05), flat_on(1000.0), tiles=1, verify=True)
     assert factors.levels.tolist() == [8]
     for scale, level in ((0.5, 4), (1.0, 8), (1.5, 12)):
         scaled = factors.scaled(scale)
@@ -153,4 +153,4 @@ def test_scaled_proofs():
 )
 def test_bad_arguments(options, message):
     with pytest.raises(InputError, match=message):
-        _ = tessellation_factors(quadratics(1.0, 1.0, 1.0), flat_on(100.0), **options).inner
+        _ = tessellation_factors(quadratics(1.0, 1.0, 1.0), flat_on(100.0), tiles=1, **options).inner

@@ -101,7 +101,7 @@ def test_third_order_of_half_a_cell(rng, least):
         assert np.all(error <= bound * (1 + 1e-9) + 1e-15)
 
 
-@pytest.mark.parametrize("seed", [11, 24, 25, 30])
+@pytest.mark.parametrize("seed", [11, 30])
 @pytest.mark.parametrize("any_triangle", [False, True])
 def test_both_forms_of_nets_are_one_computation(seed, any_triangle):
     hostile = case(seed, 64)
