@@ -37,20 +37,22 @@ def fewest_triangles(
     cost = _own_triangles(inner)
     cost[fixed, 1:] = np.inf
     sides, others = _sharing(numbers, members)
-    rng = np.random.default_rng(0)
-    best = choice = np.zeros(len(inner), np.int64)
-    least = _total(cost, sets, numbers, choice)
-    for turn in range(_ROUNDS):
-        heat = _HEAT * max(0.0, 1.0 - 1.25 * turn / _ROUNDS)
-        own = _taking_turns(numbers, rng)
-        neighbours = _neighbours(_chosen(sets, choice), sides, others)[own]
-        price = cost[own] + (members[own, None] * lowest(sets[own] & neighbours[:, None])).sum(axis=2)
-        noise = rng.gumbel(size=price.shape) * heat * np.maximum(cost[own, :1], 0.0)
-        choice = choice.copy()
-        choice[own] = np.argmin(price - noise, axis=1)
-        total = _total(cost, sets, numbers, choice)
-        if total < least:
-            least, best = total, choice
+    least, best = np.inf, np.zeros(len(inner), np.int64)
+    # from the choices that are possible, and from the cheapest ones: patches that need less together seldom get there
+    # one by one
+    for choice in (best, np.argmin(cost, axis=1)):
+        rng = np.random.default_rng(0)
+        for turn in range(_ROUNDS):
+            total = _total(cost, sets, numbers, choice)
+            if total < least:
+                least, best = total, choice
+            heat = _HEAT * max(0.0, 1.0 - 1.25 * turn / _ROUNDS)
+            own = _taking_turns(numbers, rng)
+            neighbours = _neighbours(_chosen(sets, choice), sides, others)[own]
+            price = cost[own] + (members[own, None] * lowest(sets[own] & neighbours[:, None])).sum(axis=2)
+            noise = rng.gumbel(size=price.shape) * heat * np.maximum(cost[own, :1], 0.0)
+            choice = choice.copy()
+            choice[own] = np.argmin(price - noise, axis=1)
     row = np.arange(len(inner))
     return inner[row, best], _edge_levels(_chosen(sets, best), numbers)[numbers].astype(np.int64)
 
