@@ -67,7 +67,7 @@ def certified_factor(
     for triangles of any shape that lie in the box. ``unrolled``: the form of the nets; None: what suits their degrees.
     """
     if unrolled is None:
-        unrolled = control.shape[0] * control.shape[1] <= _UNROLLED
+        unrolled = control.shape[0] * control.shape[1] <= _UNROLLED and control.shape[2] == 3
     screen = Screen.of(control, projection, tolerance, depth_tolerance, unrolled)
     whole = Piece.of(screen, screen.rows, screen.w, 1)
     remainders = [_remainder(row, screen.w, ends, extent) for row, ends in zip(screen.rows, whole.ends, strict=True)]
@@ -112,6 +112,7 @@ class Screen(NamedTuple):
     w_size: Lanes
     eps: float
     visible: Lanes  # not all control points outside of one plane of the view volume
+    rational: bool
 
     @staticmethod
     def of(control: Any, projection: Projection, tolerance: Any, depth_tolerance: Any, unrolled: bool) -> Screen:
@@ -136,7 +137,7 @@ class Screen(NamedTuple):
         weight = nets.bottom(points[3]) if rational else jnp.ones_like(largest[0])
         count = 2 if depth_tolerance is None else 3
         floor = projection.near_w * weight
-        return Screen([x, y, z][:count], w, half[:count], floor, sizes[:count], w_size, eps, visible)
+        return Screen([x, y, z][:count], w, half[:count], floor, sizes[:count], w_size, eps, visible, rational)
 
 
 class Piece(NamedTuple):
@@ -147,6 +148,7 @@ class Piece(NamedTuple):
     inverse: Net  # 1/W of the coefficients, from above
     widest: Lanes  # the largest of them
     ends: list[tuple[Lanes, Lanes]]  # of the part of the picture, for every row
+    within: list[Lanes]  # whether it ends inside of the picture, for every row
     scale: float  # second derivatives of the patch are these times those of the tile
 
     @staticmethod
@@ -157,14 +159,15 @@ class Piece(NamedTuple):
         safe = nets.each(lambda c: c - w_blur, w)
         deep = nets.bottom(safe) >= screen.floor
         inverse = nets.each(lambda c: 1.0 / jnp.where(deep, c, screen.floor), safe)
-        ends = []
+        ends, within = [], []
         for net, half, size in zip(rows, screen.half, screen.sizes, strict=True):
             limit = jnp.broadcast_to(half, deep.shape)
             blur = error * size
             low = jnp.where(deep, nets.bottom(nets.each(lambda c, i, e=blur: (c - e) * i, net, inverse)), -limit)
             high = jnp.where(deep, nets.top(nets.each(lambda c, i, e=blur: (c + e) * i, net, inverse)), limit)
             ends.append((_clip(low, limit), _clip(high, limit)))
-        return Piece(rows, w, inverse, nets.top(inverse), ends, float(tiles**2))
+            within.append(deep & (low >= -limit) & (high <= limit))
+        return Piece(rows, w, inverse, nets.top(inverse), ends, within, float(tiles**2))
 
 
 class Remainder(NamedTuple):
@@ -222,10 +225,16 @@ def _square(
     degree = sum(nets.degrees(piece.w))
     rounding = 2.0 * _ROUNDING * screen.eps * (degree**2 / 8.0 + degree**3 / 24.0 + degree**4 / 72.0)
     squares = []
-    for row, ends, remainder, size in zip(piece.rows, piece.ends, remainders, screen.sizes, strict=True):
+    for k, (row, ends, remainder, size) in enumerate(
+        zip(piece.rows, piece.ends, remainders, screen.sizes, strict=True)
+    ):
         hessian = _hessian(row, extent)
         tops = [nets.top(_measured(measure, s, hessian, depth, piece.inverse)) for s in ends]
-        largest = larger(*tops) * piece.scale
+        largest = larger(*tops)
+        if screen.rational:
+            followed = _followed(screen, piece, row, size, extent, measure)
+            largest = jnp.where(piece.within[k], smaller(largest, followed), largest)
+        largest = largest * piece.scale
         upper = 1.0 / jnp.sqrt(larger(largest / 8.0, jnp.ones_like(largest))) if inverse is None else inverse
         more, less = larger(remainder.along_u, remainder.along_v), smaller(remainder.along_u, remainder.along_v)
         if measure is _of_any_triangle:
@@ -236,6 +245,40 @@ def _square(
         rest = (third + remainder.fourth * upper) * upper + w_bend / 8.0 + rounding * size
         squares.append(largest / 8.0 + rest * piece.widest)
     return _largest(squares)
+
+
+def _followed(
+    screen: Screen, piece: Piece, row: Net, size: Lanes, extent: Extent, measure: Callable[..., Lanes]
+) -> Lanes:
+    """The largest measure of the Hessian of g_s* over W where s* = X/W follows the place: docs/certified.md, (7).
+
+    A bilinear s stands for X/W, and the largest distance between the two counts in full. The second derivatives of W of
+    rational patches are large, so that it matters which s goes with them.
+    """
+    corners = [[row[i][j] * piece.inverse[i][j] for j in (0, -1)] for i in (0, -1)]
+    du, dv = (d + 1 for d in nets.degrees(row))
+
+    def raised(part: Net) -> Net | None:
+        return nets.raised(part, du, dv) if nets.size(part) else None
+
+    bends = _plain_hessian(piece.w, extent)
+    own = [raised(part) for part in _plain_hessian(row, extent)]
+    followed = [raised(nets.bilinear_times(corners, part)) if nets.size(part) else None for part in bends]
+    error = _ROUNDING * screen.eps
+    w = nets.raised(piece.w, du, dv)
+    inverse = nets.each(lambda c: 1.0 / larger(c - error * screen.w_size, jnp.broadcast_to(screen.floor, c.shape)), w)
+    ones = jnp.ones_like(size)
+    whole = _measured(measure, ones, (own[0], own[1], own[2]), (followed[0], followed[1], followed[2]), inverse)
+    zero = [None if part is None else nets.each(jnp.zeros_like, part) for part in own]
+    depth = [raised(part) for part in bends]
+    rest = _measured(measure, ones, (zero[0], zero[1], zero[2]), (depth[0], depth[1], depth[2]), inverse)
+    apart = nets.each(
+        lambda x, y, i: (jnp.abs(x - y) + error * size) * i,
+        nets.raised(row, du, dv),
+        nets.bilinear_times(corners, piece.w),
+        inverse,
+    )
+    return nets.top(whole) + nets.top(apart) * nets.top(rest)
 
 
 def _last_visible(screen: Screen, piece: Piece, bends: list[Lanes]) -> Lanes:

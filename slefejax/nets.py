@@ -85,6 +85,16 @@ def combined(net: Net, u: Any, v: Any) -> Net:
     return [[_weighted(line, row) for line in v] for row in rows]
 
 
+def bilinear_times(corners: list[list[Lanes]], net: Net) -> Net:
+    """The product with the bilinear function that has these values at the corners (i, j); both degrees grow by one."""
+    du, dv = degrees(net)
+    along_u, along_v = _times_linear(du), _times_linear(dv)
+    parts = [
+        each(lambda c, k=corners[i][j]: c * k, combined(net, along_u[i], along_v[j])) for i in (0, 1) for j in (0, 1)
+    ]
+    return each(lambda *c: total(list(c)), *parts)
+
+
 def transposed(net: Net) -> Net:
     """u and v exchanged."""
     return [list(row) for row in zip(*net, strict=True)] if isinstance(net, list) else jnp.swapaxes(net, 0, 1)
@@ -122,10 +132,17 @@ def _differences(degree: int, order: int) -> np.ndarray:
     return matrix
 
 
+def _times_linear(degree: int) -> list[list[list[float]]]:
+    """Matrices ``(degree+2, degree+1)`` that multiply by 1 - t, and by t."""
+    i = np.arange(degree + 2) / (degree + 1)
+    eye = np.eye(degree + 2)
+    return [((1.0 - i)[:, None] * eye[:, :-1]).tolist(), (i[:, None] * eye[:, 1:]).tolist()]
+
+
 def _weighted(weights: Any, values: list[Lanes]) -> Lanes:
     """The weighted sum, without what is known to be 0."""
     used = [(w, x) for w, x in zip(weights, values, strict=True) if not (isinstance(w, float) and w == 0.0)]
-    return total([x if isinstance(w, float) and w == 1.0 else x * w for w, x in used])
+    return total([x if isinstance(w, float) and w == 1.0 else x * w for w, x in used or [(0.0, values[0])]])
 
 
 def _tree(choose: Callable[[Lanes, Lanes], Lanes], net: list[list[Lanes]]) -> Lanes:

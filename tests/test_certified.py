@@ -206,6 +206,23 @@ def test_parabola_is_exact():
     assert factor == pytest.approx(np.sqrt(25 / 0.5), rel=1e-9)
 
 
+def test_rational_patches_are_nearly_minimal():
+    """A quarter of a torus: second derivatives of W are as large as those of X, and s goes along with the place."""
+    half = np.sqrt(0.5)
+    arc = np.array([[1.0, 0.0, 1.0], [half, half, half], [0.0, 1.0, 1.0]])  # (w x, w y, w) of a quarter of a circle
+    torus = np.zeros((1, 3, 3, 4))
+    for i, (x, y, w) in enumerate(arc):
+        for j, (radius, height, weight) in enumerate(arc):
+            torus[0, i, j] = [x * (2 * weight + radius), y * (2 * weight + radius), w * height, w * weight]
+    view = View(Camera.look_at((5.0, -3.0, 4.0), (1.2, 1.2, 0.3)), 1440, 900)
+    minimal = minimal_factors(torus, view)[0]
+    assert minimal >= 20
+    for tiles, most in ((1, 1.45), (2, 1.15), (4, 1.06)):
+        levels = tessellation_factors(torus, view, tiles=tiles).levels
+        assert minimal <= levels[0] <= most * minimal
+        assert sampled_error(torus, levels, view)[0] <= 0.5
+
+
 def test_straight_patches_need_one_piece_and_unseen_ones_none(main_view):
     straight = np.zeros((2, 4, 4, 3))
     straight[..., 0], straight[..., 1] = np.linspace(0, 1, 4)[:, None], np.linspace(0, 1, 4)

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from slefejax import layout
+from slefejax import layout, nets
+from slefejax.bezier import evaluate_patch
 from slefejax.certified import _CUBIC, _of_any_triangle, _of_half_cell, certified_factor
 from slefejax.estimate import Projection
 
@@ -99,6 +100,19 @@ def test_third_order_of_half_a_cell(rng, least):
         second = np.asarray(_of_half_cell(value(u, v, 2, 0), value(u, v, 1, 1), value(u, v, 0, 2)))
         bound = np.maximum(second, more / least) / (8 * n**2) + (_CUBIC * more + less / 288) / n**3
         assert np.all(error <= bound * (1 + 1e-9) + 1e-15)
+
+
+def test_bilinear_products(rng):
+    """Coefficients of the product, in both forms of nets, against values."""
+    net, corners = rng.normal(size=(3, 4, 7)), rng.normal(size=(2, 2, 7))
+    lists = [[jnp.asarray(c) for c in row] for row in net]
+    product = np.asarray(nets.bilinear_times(corners, jnp.asarray(net)))
+    np.testing.assert_allclose(np.array(nets.bilinear_times(corners, lists)), product, rtol=1e-12)
+    for u, v in rng.uniform(size=(5, 2)):
+        place = partial(evaluate_patch, u=np.array([u]), v=np.array([v]))
+        for lane in range(7):
+            values = [place(x[..., lane][:, :, None, None])[0, 0] for x in (net, corners, product)]
+            assert values[0] * values[1] == pytest.approx(values[2], rel=1e-12)
 
 
 @pytest.mark.parametrize("seed", [11, 30])
