@@ -1,0 +1,1 @@
+"""From control meshes and spline surfaces to Bézier patches; every scheme is a table of stencils."""

@@ -1,0 +1,133 @@
+"""B-spline and NURBS surfaces of any degree, as Bézier patches, exactly: knot insertion as a table of stencils.
+
+On the interval [a, b] between two knots a spline is a polynomial, and its Bézier coefficient j is the blossom of that
+polynomial with degree - j arguments a and j arguments b. Each step of the blossom is one of de Boor's affine
+combinations, so the weights depend on the knots alone. Rational surfaces go through the same table as homogeneous points
+(w x, w y, w z, w).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from slefejax.conversion.patchwork import Patchwork
+from slefejax.errors import InputError
+from slefejax.slefe_tables import HIGHEST_DEGREE
+from slefejax.stencils import StencilTable
+
+_SAME = 1e-13  # weights are affine combinations of numbers below 1, exact to a few rounding errors
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One parameter of a surface.
+
+    rows   : ``(different points, control points)``, weights of the Bézier points
+    net    : ``(intervals, degree + 1)``, which of them each interval has; neighbours share their common one
+    """
+
+    rows: Float[np.ndarray, "points control"]
+    net: Int[np.ndarray, "intervals order"]
+
+
+def bezier_axis(knots: Float[np.ndarray, "knots"], degree: int, count: int, bounds: tuple[float, float] | None = None) -> Axis:
+    """How the Bézier points of a spline of that degree, with ``count`` control points, are made of them.
+
+    knots  : count + degree + 1 numbers, not decreasing; those at the ends need not be repeated
+    bounds : the part of the parameter that is wanted, knots themselves; the whole domain if not given
+
+    Raises InputError for knots that are no such list, or a spline that is not connected (a knot repeated too often).
+
+    >>> bezier_axis(np.array([0.0, 0.0, 1.0, 2.0, 2.0]), 1, 3).net.tolist()
+    [[0, 1], [1, 2]]
+    """
+    knots = np.asarray(knots, np.float64)
+    check_knots(knots, degree, count)
+    low, high = bounds or (knots[degree], knots[count])
+    spans = [i for i in range(degree, count) if low <= knots[i] < knots[i + 1] <= high]
+    if not spans:
+        raise InputError(f"no interval between knots lies in the range {low:g} to {high:g} of the spline")
+    rows, net = [], []
+    for i in spans:
+        own = _interval_rows(knots, degree, count, i)
+        start = 0
+        if rows and np.allclose(rows[-1], own[0], rtol=0, atol=_SAME):
+            start = 1
+        net.append(np.arange(degree + 1) + len(rows) - start)
+        rows.extend(own[start:])
+    return Axis(np.array(rows), np.array(net))
+
+
+def check_knots(knots: np.ndarray, degree: int, count: int) -> None:
+    """Raise InputError unless these are the knots of a spline of that degree with so many control points."""
+    if not 1 <= degree <= HIGHEST_DEGREE:
+        raise InputError(f"a spline surface needs a degree from 1 to {HIGHEST_DEGREE}, not {degree}")
+    if count < degree + 1:
+        raise InputError(f"a spline of degree {degree} needs at least {degree + 1} control points, not {count}")
+    if knots.shape != (count + degree + 1,):
+        raise InputError(
+            f"a spline of degree {degree} with {count} control points needs {count + degree + 1} knots, not {knots.size}"
+        )
+    if not np.isfinite(knots).all() or np.any(np.diff(knots) < 0):
+        raise InputError("the knots of a spline must be finite numbers that do not decrease")
+    if not knots[degree] < knots[count]:
+        raise InputError("the knots of a spline leave no interval: they are all the same")
+
+
+def _interval_rows(knots: np.ndarray, degree: int, count: int, i: int) -> np.ndarray:
+    """``(degree + 1, count)``: the Bézier points of [knots[i], knots[i+1]]."""
+    a, b = knots[i], knots[i + 1]
+    rows = np.zeros((degree + 1, count))
+    for j in range(degree + 1):
+        rows[j, i - degree : i + 1] = _blossom_weights(knots, degree, i, [a] * (degree - j) + [b] * j)
+    return rows
+
+
+def _blossom_weights(knots: np.ndarray, degree: int, i: int, arguments: list[float]) -> np.ndarray:
+    """Weights of control points i - degree ... i for the blossom of piece i at these arguments (de Boor)."""
+    points = np.eye(degree + 1)
+    for step, t in enumerate(arguments):
+        low = knots[i - degree + 1 + step : i + 1]
+        high = knots[i + 1 : i + 1 + degree - step]
+        share = ((t - low) / (high - low))[:, None]
+        points = (1.0 - share) * points[:-1] + share * points[1:]
+    return points[0]
+
+
+def spline_patches(
+    control: Float[np.ndarray, "nu nv dim"], axes: tuple[Axis, Axis], surface: int = 0
+) -> Patchwork:
+    """Bézier patches of a tensor-product spline; its control points are numbered row by row, u before v.
+
+    control : only to see which control points coincide: where a surface closes or shrinks to a point, patches then
+              share what they have in common
+    surface : its number, kept as the face of every patch
+    """
+    nu, nv = control.shape[:2]
+    rows = np.einsum("ai,bj->abij", axes[0].rows, axes[1].rows).reshape(-1, nu * nv)
+    table, place = _merged(rows, control.reshape(nu * nv, -1))
+    across = len(axes[1].rows)
+    net = axes[0].net[:, None, :, None] * across + axes[1].net[None, :, None, :]
+    net = place[net.reshape(-1, *net.shape[2:])]
+    return Patchwork(table, net, np.full(len(net), surface), np.zeros(len(net), np.int64))
+
+
+def _merged(rows: np.ndarray, control: np.ndarray) -> tuple[StencilTable, Int[np.ndarray, "rows"]]:
+    """Rows over control points of which equal ones count as one, each different row once; where every row went."""
+    _, first, same = np.unique(control, axis=0, return_index=True, return_inverse=True)
+    folded = np.zeros_like(rows)
+    np.add.at(folded.T, first[same.ravel()], rows.T)
+    folded[np.abs(folded) < _SAME] = 0.0
+    folded /= folded.sum(axis=1, keepdims=True)
+    _, kept, place = np.unique(np.round(folded / _SAME / 8.0), axis=0, return_index=True, return_inverse=True)
+    kept_rows = folded[kept]
+    row, column = np.nonzero(kept_rows)
+    return StencilTable.of(row, column, kept_rows[row, column], kept_rows.shape), place.ravel()
+
+
+def uniform_knots(count: int, degree: int) -> Float[np.ndarray, "knots"]:
+    """The knots of a uniform B-spline, one apart, none repeated: its domain is 0 ... count - degree."""
+    return np.arange(count + degree + 1, dtype=np.float64) - degree

@@ -1,0 +1,47 @@
+"""Bézier patches as a table of different control points, and a net of their numbers for every patch.
+
+Points that neighbours share have one number, so they are equal bit for bit whatever they are computed from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from slefejax.edges import shared_edges
+from slefejax.stencils import StencilTable
+
+KINDS = ("regular", "extraordinary", "boundary", "crease", "triangle")
+
+
+@dataclass(frozen=True, eq=False)
+class Patchwork:
+    """How patches are made of control points.
+
+    points : table from control points to the different control points of all patches
+    net    : ``(patches, du+1, dv+1)``, which of them each patch has
+    faces  : ``(patches,)``, the face of the control mesh (or the surface) that each patch comes from
+    kinds  : ``(patches,)``, numbers in KINDS
+    """
+
+    points: StencilTable
+    net: Int[np.ndarray, "patches nu nv"]
+    faces: Int[np.ndarray, "patches"]
+    kinds: Int[np.ndarray, "patches"]
+
+    def patches(self, control: Any) -> Any:
+        """Control points of all patches by JAX: ``(inputs, dim)`` to ``(patches, du+1, dv+1, dim)``; differentiable."""
+        return self.points(control)[self.net]
+
+    def on_host(self, control: Any) -> Float[np.ndarray, "patches nu nv dim"]:
+        """The same in float64 by NumPy alone."""
+        return self.points.on_host(control)[self.net]
+
+    @cached_property
+    def edge_numbers(self) -> Int[np.ndarray, "patches 4"]:
+        """Which edges are shared: those with the same points, in any pose."""
+        return shared_edges(self.net[..., None])

@@ -1,0 +1,192 @@
+"""Tables of stencils: every output is a weighted sum of a few inputs, built once on the host, applied by JAX.
+
+A row says which inputs an output is made of and with what weights. On the host a table is a sparse matrix, so that
+tables are put together by matrix algebra. To be applied, rows are sorted by their number of weights into classes that
+are padded each to its own width: a pole of valence 64 does not make every row as wide as its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Float, Int
+from scipy.sparse import csr_array, diags_array, eye_array, vstack
+
+from slefejax.errors import InputError
+
+# Widths that rows are padded to; wider rows than the last get classes that grow by half.
+WIDTHS = (1, 2, 3, 4, 6, 9, 12, 16, 20, 24, 32)
+_GROWTH = 1.5
+_UNROLLED = 32
+
+
+@dataclass(frozen=True, eq=False)
+class StencilTable:
+    """A linear map from ``(columns, *rest)`` to ``(rows, *rest)``.
+
+    >>> midpoints = StencilTable.of([0, 0, 1, 1], [0, 1, 1, 2], [0.5] * 4, (2, 3))
+    >>> midpoints(np.array([0.0, 2.0, 6.0])).tolist()
+    [1.0, 4.0]
+    """
+
+    matrix: Any
+
+    @staticmethod
+    def of(rows: Any, columns: Any, weights: Any, shape: tuple[int, int]) -> StencilTable:
+        """From lists of equal length: output, input, weight. Weights for the same pair add up, zeros are left out."""
+        weights = np.asarray(weights, np.float64)
+        matrix = csr_array((weights, (np.asarray(rows, np.int64), np.asarray(columns, np.int64))), shape=shape)
+        matrix.sum_duplicates()
+        matrix.eliminate_zeros()
+        return StencilTable(matrix)
+
+    @staticmethod
+    def identity(count: int) -> StencilTable:
+        """Every output is the input of the same number."""
+        return StencilTable(csr_array(eye_array(count, format="csr")))
+
+    @property
+    def rows(self) -> int:
+        """Number of outputs."""
+        return self.matrix.shape[0]
+
+    @property
+    def columns(self) -> int:
+        """Number of inputs."""
+        return self.matrix.shape[1]
+
+    def __matmul__(self, first: StencilTable) -> StencilTable:
+        """The table that does ``first`` and then this one."""
+        return _clean(self.matrix @ first.matrix)
+
+    def __add__(self, other: StencilTable) -> StencilTable:
+        """Outputs added up."""
+        return _clean(self.matrix + other.matrix)
+
+    def __sub__(self, other: StencilTable) -> StencilTable:
+        """Outputs subtracted."""
+        return _clean(self.matrix - other.matrix)
+
+    def scaled(self, factors: Any) -> StencilTable:
+        """Row r times ``factors[r]``, or every row times one number."""
+        factors = np.broadcast_to(np.asarray(factors, np.float64), (self.rows,))
+        return _clean(diags_array(factors) @ self.matrix)
+
+    def normalised(self) -> StencilTable:
+        """Every row divided by the sum of its weights, so that outputs are affine combinations."""
+        return self.scaled(1.0 / self.row_sums())
+
+    def row_sums(self) -> Float[np.ndarray, "rows"]:
+        """The sum of the weights of every row."""
+        return np.asarray(self.matrix.sum(axis=1)).ravel()
+
+    def take(self, rows: Any) -> StencilTable:
+        """The rows of these numbers, in their order."""
+        return StencilTable(csr_array(self.matrix[np.asarray(rows, np.int64)]))
+
+    def stacked(self, *others: StencilTable) -> StencilTable:
+        """The rows of this table, then those of others with the same inputs."""
+        return StencilTable(csr_array(vstack([self.matrix, *(other.matrix for other in others)], format="csr")))
+
+    def on_host(self, values: Any) -> Float[np.ndarray, "rows *rest"]:
+        """The outputs in float64, by NumPy alone: ``(columns, *rest)`` to ``(rows, *rest)``."""
+        values = np.asarray(values, np.float64)
+        self._check(values)
+        return (self.matrix @ values.reshape(self.columns, -1)).reshape(self.rows, *values.shape[1:])
+
+    def __call__(self, values: Any) -> Any:
+        """The outputs, by JAX, in the precision of ``values``: ``(columns, *rest)`` to ``(rows, *rest)``.
+
+        Differentiable (it is linear). Raises InputError if the number of inputs is another one.
+        """
+        values = values if isinstance(values, (jax.Array, Tracer)) else np.asarray(values)
+        self._check(values)
+        return _apply_jit(values, self.groups, self.order)
+
+    def _check(self, values: Any) -> None:
+        if values.ndim == 0 or values.shape[0] != self.columns:
+            raise InputError(f"this table takes {self.columns} inputs along the first axis, not shape {values.shape}")
+
+    @cached_property
+    def counts(self) -> Int[np.ndarray, "rows"]:
+        """The number of weights of every row."""
+        return np.diff(self.matrix.indptr)
+
+    @cached_property
+    def _by_class(self) -> list[tuple[int, np.ndarray]]:
+        """(width, rows) of every class, and the rows in it."""
+        ladder = list(WIDTHS)
+        while ladder[-1] < self.counts.max(initial=0):
+            ladder.append(int(np.ceil(ladder[-1] * _GROWTH)))
+        steps = np.array(ladder)
+        cls = np.searchsorted(steps, self.counts)
+        found = [np.flatnonzero(cls == k) for k in range(len(steps))]
+        # no wider than its widest row
+        return [(int(max(1, self.counts[rows].max())), rows) for rows in found if rows.size]
+
+    @cached_property
+    def groups(self) -> tuple[tuple[Int[np.ndarray, "width rows"], Float[np.ndarray, "width rows"]], ...]:
+        """Indices and weights of the rows of each class; what is missing in a row has weight 0 and its first index."""
+        groups = []
+        for width, rows in self._by_class:
+            slots = np.arange(width)[:, None]
+            there = slots < self.counts[rows]
+            at = self.matrix.indptr[rows] + np.where(there, slots, 0)
+            filled = self.counts[rows] > 0
+            at = np.where(filled, at, 0)
+            index = np.where(filled, self.matrix.indices[at], 0) if len(self.matrix.indices) else np.zeros_like(at)
+            weight = np.where(there, self.matrix.data[at], 0.0) if len(self.matrix.data) else np.zeros(at.shape)
+            groups.append((index.astype(np.int32), weight))
+        return tuple(groups)
+
+    @cached_property
+    def order(self) -> Int[np.ndarray, "rows"]:
+        """Where each output stands among the rows of all classes, one class after the other."""
+        place = np.empty(self.rows, np.int32)
+        place[np.concatenate([rows for _, rows in self._by_class])] = np.arange(self.rows, dtype=np.int32)
+        return place
+
+    @property
+    def padded_bytes(self) -> int:
+        """Memory of the padded tables: 4-byte indices, 8-byte weights."""
+        return sum(index.nbytes + weight.nbytes for index, weight in self.groups) + self.order.nbytes
+
+    @property
+    def padding(self) -> float:
+        """The share of the padded weights that is padding."""
+        slots = sum(weight.size for _, weight in self.groups)
+        return 1.0 - self.matrix.nnz / slots if slots else 0.0
+
+
+def _clean(matrix: Any) -> StencilTable:
+    matrix = csr_array(matrix)
+    matrix.eliminate_zeros()
+    matrix.sort_indices()
+    return StencilTable(matrix)
+
+
+@jax.jit
+def _apply_jit(values: Any, groups: Any, order: Any) -> Any:
+    """Gather, weight, sum: each number of an input by itself, which runs faster than gathers of rows."""
+    flat = values.reshape(values.shape[0], -1)
+    if not jnp.issubdtype(flat.dtype, jnp.floating):
+        flat = flat.astype(jax.dtypes.canonicalize_dtype(np.float64))
+    columns = [flat[:, k] for k in range(flat.shape[1])]
+    sums = [jnp.concatenate([_weighted(column, *group) for group in groups])[order] for column in columns]
+    return jnp.stack(sums, axis=1).reshape(len(order), *values.shape[1:])
+
+
+def _weighted(column: Any, index: Any, weight: Any) -> Any:
+    weight = weight.astype(column.dtype)
+    if index.shape[0] > _UNROLLED:
+        return jnp.sum(weight * column[index], axis=0)
+    total = weight[0] * column[index[0]]
+    for k in range(1, index.shape[0]):
+        total = total + weight[k] * column[index[k]]
+    return total
