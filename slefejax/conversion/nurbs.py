@@ -9,13 +9,15 @@ combinations, so the weights depend on the knots alone. Rational surfaces go thr
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.sparse import csr_array, kron
 
 from slefejax.conversion.patchwork import Patchwork
 from slefejax.errors import InputError
-from slefejax.slefe_tables import HIGHEST_DEGREE
+from slefejax.slefe import HIGHEST_DEGREE
 from slefejax.stencils import StencilTable
 
 _SAME = 1e-13  # weights are affine combinations of numbers below 1, exact to a few rounding errors
@@ -106,26 +108,40 @@ def spline_patches(
               share what they have in common
     surface : its number, kept as the face of every patch
     """
-    nu, nv = control.shape[:2]
-    rows = np.einsum("ai,bj->abij", axes[0].rows, axes[1].rows).reshape(-1, nu * nv)
-    table, place = _merged(rows, control.reshape(nu * nv, -1))
+    flat = control.reshape(-1, control.shape[2])
+    table, place = _merged(kron(csr_array(axes[0].rows), csr_array(axes[1].rows), format="csr"), flat)
     across = len(axes[1].rows)
     net = axes[0].net[:, None, :, None] * across + axes[1].net[None, :, None, :]
     net = place[net.reshape(-1, *net.shape[2:])]
     return Patchwork(table, net, np.full(len(net), surface), np.zeros(len(net), np.int64))
 
 
-def _merged(rows: np.ndarray, control: np.ndarray) -> tuple[StencilTable, Int[np.ndarray, "rows"]]:
+def _merged(rows: Any, control: np.ndarray) -> tuple[StencilTable, Int[np.ndarray, "rows"]]:
     """Rows over control points of which equal ones count as one, each different row once; where every row went."""
-    _, first, same = np.unique(control, axis=0, return_index=True, return_inverse=True)
-    folded = np.zeros_like(rows)
-    np.add.at(folded.T, first[same.ravel()], rows.T)
-    folded[np.abs(folded) < _SAME] = 0.0
-    folded /= folded.sum(axis=1, keepdims=True)
-    _, kept, place = np.unique(np.round(folded / _SAME / 8.0), axis=0, return_index=True, return_inverse=True)
-    kept_rows = folded[kept]
-    row, column = np.nonzero(kept_rows)
-    return StencilTable.of(row, column, kept_rows[row, column], kept_rows.shape), place.ravel()
+    _, first, same = np.unique(control + 0.0, axis=0, return_index=True, return_inverse=True)
+    count = len(control)
+    fold = csr_array((np.ones(count), (np.arange(count), first[same.ravel()])), shape=(count, count))
+    folded = csr_array(rows @ fold)
+    folded.data[np.abs(folded.data) < _SAME] = 0.0
+    folded.eliminate_zeros()
+    folded.sort_indices()
+    table = StencilTable(folded).normalised().matrix
+    kept: list[int] = []
+    place = np.empty(table.shape[0], np.int64)
+    known: dict[bytes, list[int]] = {}
+    for row in range(table.shape[0]):
+        part = slice(table.indptr[row], table.indptr[row + 1])
+        alike = known.setdefault(table.indices[part].tobytes(), [])
+        for number in alike:
+            other = slice(table.indptr[kept[number]], table.indptr[kept[number] + 1])
+            if np.max(np.abs(table.data[part] - table.data[other])) < _SAME:
+                place[row] = number
+                break
+        else:
+            place[row] = len(kept)
+            alike.append(len(kept))
+            kept.append(row)
+    return StencilTable(table).take(kept), place
 
 
 def uniform_knots(count: int, degree: int) -> Float[np.ndarray, "knots"]:
