@@ -7,6 +7,7 @@ serve one patch, a batch with the patches last, and scalar functions.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from math import comb
 from typing import Any
 
@@ -104,3 +105,18 @@ def _blossom(coefficients: Values, arguments: list[Values]) -> Values:
     for t in arguments:
         coefficients = (1 - t) * coefficients[:-1] + t * coefficients[1:]
     return coefficients[0]
+
+
+def from_triangle(points: Float[np.ndarray, "n *rest"], degree: int) -> Float[np.ndarray, "nu nv *rest"]:
+    """A triangular Bézier patch as a tensor-product one of bi-degree (d, d) whose side u = 1 is a point; exact.
+
+    points : ``((d+1)(d+2)/2, ...)``, row by row: d+1 points of the side u = 0 first, the opposite corner last
+
+    With barycentric coordinates ((1-u) v, (1-u)(1-v), u), row k is a curve of degree d - k in v, raised to d. The
+    winding of the corners stays as it is, so v runs against the rows.
+
+    >>> from_triangle(np.array([0.0, 1.0, 5.0]), 1).tolist()
+    [[1.0, 0.0], [5.0, 5.0]]
+    """
+    starts = [row * (degree + 1) - row * (row - 1) // 2 for row in range(degree + 2)]
+    return np.stack([elevate(points[a:b][::-1], degree) for a, b in pairwise(starts)])

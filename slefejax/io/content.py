@@ -1,0 +1,79 @@
+"""What a file holds, whatever its format: a control mesh, spline surfaces, Bézier patches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from slefejax.errors import InputError
+from slefejax.mesh import Mesh
+
+Y_UP, Z_UP = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Spline:
+    """A tensor-product spline surface.
+
+    control : ``(nu, nv, 3)``, or 4 at the end if rational, (w x, w y, w z, w)
+    knots   : along u and along v, count + degree + 1 each
+    bounds  : the part of each parameter that is wanted, or None for all
+    name    : what the file calls it, for messages
+    """
+
+    control: Float[np.ndarray, "nu nv dim"]
+    degrees: tuple[int, int]
+    knots: tuple[np.ndarray, np.ndarray]
+    bounds: tuple[tuple[float, float] | None, tuple[float, float] | None] = (None, None)
+    name: str = "the surface"
+
+
+@dataclass(frozen=True, eq=False)
+class Content:
+    """The content of a file.
+
+    mesh    : all polygons as one control mesh, not yet checked, or None
+    splines : surfaces with knots
+    patches : Bézier patches, ``(du+1, dv+1, 3)`` each, or 4 at the end if rational
+    up      : the direction that is up, by the format's custom or the file's own word
+    notes   : sentences about what was left out
+    """
+
+    mesh: Mesh | None = None
+    splines: tuple[Spline, ...] = ()
+    patches: tuple[np.ndarray, ...] = ()
+    up: tuple[float, float, float] = Z_UP
+    notes: tuple[str, ...] = ()
+
+
+def read_bytes(path: Path) -> bytes:
+    """All of a file, or InputError that says why not."""
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"there is no file {path}: check the name") from None
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror or error}") from None
+
+
+def joined(meshes: list[Mesh]) -> Mesh:
+    """Several meshes as one; vertices and faces are numbered on."""
+    if len(meshes) == 1:
+        return meshes[0]
+    starts = np.cumsum([0, *(mesh.vertex_count for mesh in meshes[:-1])])
+
+    def shifted(name: str) -> np.ndarray:
+        return np.concatenate([getattr(mesh, name) + start for mesh, start in zip(meshes, starts, strict=True)])
+
+    return Mesh.packed(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        shifted("corners"),
+        np.concatenate([mesh.sizes for mesh in meshes]),
+        creases=shifted("creases"),
+        crease_sharpness=np.concatenate([mesh.crease_sharpness for mesh in meshes]),
+        points=shifted("points"),
+        point_sharpness=np.concatenate([mesh.point_sharpness for mesh in meshes]),
+    )
