@@ -10,10 +10,10 @@ import jax
 import numpy as np
 import tyro
 
-from slefejax import Factors, Scene, View, load, minimal_factors, sampled_error, tessellation_factors, triangle_error
+from slefejax import Factors, Scene, View, minimal_factors, sampled_error, tessellation_factors, triangle_error
 from slefejax.error import pixel_error
 from slefejax.errors import InputError
-from slefejax.experiments.options import OutputOptions, ViewOptions, camera_record, check_count
+from slefejax.experiments.options import LoadOptions, OutputOptions, ViewOptions, camera_record, check_count
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.figures.certify import write_certify_figure
@@ -30,7 +30,7 @@ class Certify:
     """Patch by patch: the certified factor, the largest error that it and the published estimate lead to, the slack."""
 
     scenes: tyro.conf.Positional[tuple[str, ...]]
-    """Files (.bpt), or teapot, twisted-quad, steep-patch."""
+    """Files (.obj, .ply, .usd…, .3dm, .bpt, .bv), or teapot, twisted-quad, steep-patch."""
     tiles: int = 2
     """Pieces along each side that a patch is cut into to bound it; more are tighter and slower."""
     verify: bool = False
@@ -42,6 +42,7 @@ class Certify:
     tolerance: float = 0.5
     """Error in pixels that is allowed."""
     camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
+    loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
     output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def run(self) -> Report:
@@ -49,7 +50,7 @@ class Certify:
         if not self.scenes:
             raise InputError("name at least one scene: a file, teapot, twisted-quad or steep-patch")
         check_count("--tiles", self.tiles)
-        scenes = [load(name) for name in self.scenes]
+        scenes = [self.loading.load(name) for name in self.scenes]
         views = [self.camera.view(scene) for scene in scenes]
         device = open_device()
         arguments = {**asdict(self), "output": None, "camera": [camera_record(view) for view in views]}

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import tyro
 
-from slefejax import Factors, Scene, View, load, minimal_factors, sampled_error, tessellation_factors, triangle_error
+from slefejax import Factors, Scene, View, minimal_factors, sampled_error, tessellation_factors, triangle_error
 from slefejax.covering import covering_error
 from slefejax.error import pixel_error
 from slefejax.errors import InputError
 from slefejax.experiments.minimality import error_shares
-from slefejax.experiments.options import OutputOptions, cameras_around, check_count, parse_size
+from slefejax.experiments.options import LoadOptions, OutputOptions, cameras_around, check_count, parse_size
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.figures.error_image import write_error_image
@@ -59,7 +59,7 @@ class ErrorTime:
     """For every rule: its error at pixels and over the domain, its triangles and run time, and how far from minimal."""
 
     scenes: tyro.conf.Positional[tuple[str, ...]]
-    """Files (.bpt), or teapot."""
+    """Files (.obj, .ply, .usd…, .3dm, .bpt, .bv), or teapot, twisted-quad, steep-patch."""
     cameras: int = 1
     """Cameras: the scene's own, and others on a sphere around it."""
     seed: int = 1
@@ -70,6 +70,7 @@ class ErrorTime:
     """Error in pixels that is allowed."""
     repeats: int = 5
     """Runs of each rule whose median is the time; all rules take turns."""
+    loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
     output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def run(self) -> Report:
@@ -78,7 +79,7 @@ class ErrorTime:
         check_count("--repeats", self.repeats)
         if not self.scenes:
             raise InputError("name at least one scene: a file, or teapot")
-        scenes = [load(name) for name in self.scenes]
+        scenes = [self.loading.load(name) for name in self.scenes]
         device = open_device()
         inputs = {"scenes": [digest(s.patches().tobytes()) for s in scenes], "opengl": device.renderer}
         views = {

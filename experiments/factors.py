@@ -8,9 +8,9 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 import tyro
 
-from slefejax import load, tessellation_factors
+from slefejax import tessellation_factors
 from slefejax.edges import EDGES
-from slefejax.experiments.options import OutputOptions, PredictionOptions, ViewOptions, camera_record
+from slefejax.experiments.options import LoadOptions, OutputOptions, PredictionOptions, ViewOptions, camera_record
 from slefejax.experiments.report import Report
 from slefejax.experiments.store import Run
 from slefejax.tessellator import HIGHEST_LEVEL, triangle_counts
@@ -21,14 +21,15 @@ class FactorsOfScene:
     """The predicted tessellation factor of every patch, and the inner and edge levels that follow from it."""
 
     scene: tyro.conf.Positional[str]
-    """A file (.bpt), or teapot."""
+    """A file (.obj, .ply, .usd…, .3dm, .bpt, .bv), or teapot, twisted-quad, steep-patch."""
     prediction: tyro.conf.OmitArgPrefixes[PredictionOptions] = field(default_factory=PredictionOptions)
     camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
+    loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
     output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def run(self) -> Report:
         """Predict and list."""
-        scene = load(self.scene)
+        scene = self.loading.load(self.scene)
         view = self.camera.view(scene)
         factors = tessellation_factors(
             scene.patches(), view, edge_numbers=scene.edge_numbers, **self.prediction.arguments()

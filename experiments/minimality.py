@@ -9,10 +9,17 @@ from typing import Literal
 import numpy as np
 import tyro
 
-from slefejax import Factors, Scene, View, load, tessellation_factors
+from slefejax import Factors, Scene, View, tessellation_factors
 from slefejax.error import pixel_error
 from slefejax.errors import InputError
-from slefejax.experiments.options import OutputOptions, PredictionOptions, ViewOptions, camera_record, check_scales
+from slefejax.experiments.options import (
+    LoadOptions,
+    OutputOptions,
+    PredictionOptions,
+    ViewOptions,
+    camera_record,
+    check_scales,
+)
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.figures.error_image import write_error_image
@@ -29,19 +36,20 @@ class Minimality:
     """Scale the predicted tessellation factors, render each, and measure the error of every pixel."""
 
     scene: tyro.conf.Positional[str]
-    """A file (.bpt), or teapot."""
+    """A file (.obj, .ply, .usd…, .3dm, .bpt, .bv), or teapot, twisted-quad, steep-patch."""
     scales: tuple[float, ...] = (1.0, 0.9, 0.8, 0.75, 0.7, 0.5)
     """What the predicted factors are multiplied by, one row each."""
     edges: Literal["shared", "own"] = "shared"
     """Edge levels: the larger of the two neighbours', without cracks; or each patch's own, with cracks."""
     prediction: tyro.conf.OmitArgPrefixes[PredictionOptions] = field(default_factory=PredictionOptions)
     camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
+    loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
     output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def run(self) -> Report:
         """Predict, render at every scale, measure, draw the pictures."""
         check_scales(self.scales)
-        scene = load(self.scene)
+        scene = self.loading.load(self.scene)
         view = self.camera.view(scene)
         factors, times = _predict(scene, view, self.prediction)
         largest = factors.scaled(max(self.scales)).levels

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from slefejax.conversion.acc import ALPHA
 from slefejax.errors import InputError
-from slefejax.scene import Scene
+from slefejax.scene import Scene, load
 from slefejax.view import Camera, View, bounding_sphere, frame
 
 Three = tuple[float, float, float]
@@ -33,11 +34,13 @@ class ViewOptions:
     """Distance of the near clipping plane."""
     far: float | None = None
     """Distance of the far clipping plane."""
+    cover: float | None = None
+    """Share of the picture that the scene shall cover, 0 to 1; .38, as in the papers, where it has no own camera."""
 
     def view(self, scene: Scene) -> View:
         """The view that these options ask for. Raises InputError for numbers that make no camera."""
         width, height = parse_size(self.size)
-        own = scene.default_camera(aspect=width / height)
+        own = scene.default_camera(width / height, self.cover)
         eye = own.eye if self.eye is None else np.asarray(self.eye)
         near, far = self._planes(scene, own, eye)
         camera = Camera.look_at(
@@ -65,6 +68,32 @@ def camera_record(view: View) -> dict:
     camera = view.camera
     numbers = {name: np.asarray(getattr(camera, name)).tolist() for name in ("eye", "target", "up", "near", "far")}
     return {**numbers, "fov_y": float(camera.extent), "width": view.width, "height": view.height}
+
+
+@dataclass(frozen=True)
+class LoadOptions:
+    """How a control mesh becomes patches."""
+
+    scheme: str = "auto"
+    """acc (quads), pinched (quads and triangles), bspline (regular meshes only), catmull-clark+acc (any polygons), or
+    auto: the first of acc, pinched, catmull-clark+acc that can do with the faces."""
+    alpha: float = ALPHA
+    """Of triangles: the weight of a neighbour."""
+    steps: int | None = None
+    """Of catmull-clark+acc: steps of subdivision, each with four times as many patches; 1 if not given."""
+    group: tuple[str, ...] = ()
+    """Of .obj files: only faces of these groups or objects."""
+    drop_defects: bool = False
+    """Leave out faces that keep a mesh from being manifold, instead of refusing it."""
+
+    def arguments(self) -> dict:
+        """Keyword arguments for load."""
+        own = {"alpha": self.alpha, "steps": self.steps, "drop_defects": self.drop_defects}
+        return {"scheme": self.scheme, "group": self.group or None, **own}
+
+    def load(self, scene: str) -> Scene:
+        """The scene of that name or file, with these options."""
+        return load(scene, **self.arguments())
 
 
 @dataclass(frozen=True)
@@ -150,6 +179,7 @@ def cameras_around(scene: Scene, width: int, height: int, count: int, seed: int)
     for k in range(1, count):
         z = 0.95 * (1.0 - 2.0 * (k - rng.uniform()) / max(1, count - 1))
         angle, r = turn + golden * k, np.sqrt(1.0 - z * z)
-        camera = frame(scene.points(), (r * np.cos(angle), r * np.sin(angle), z), aspect=width / height)
+        direction = (r * np.cos(angle), r * np.sin(angle), z)
+        camera = frame(scene.points(), direction, aspect=width / height, up=scene.up)
         views.append(View(camera, width, height))
     return views

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from slefejax import Camera, Scene, View, load, tessellation_factors
+from slefejax import Camera, Scene, View, tessellation_factors
 from slefejax.errors import InputError
-from slefejax.experiments.options import OutputOptions, check_count, parse_size
+from slefejax.experiments.options import LoadOptions, OutputOptions, check_count, parse_size
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.figures.scaling import write_scaling
@@ -31,17 +31,18 @@ class Scaling:
     """Vary patches (by splitting), triangles (by scaling) and pixels (by cover), and fit the cost of each."""
 
     scene: tyro.conf.Positional[str]
-    """A file (.bpt), or teapot."""
+    """A file (.obj, .ply, .usd…, .3dm, .bpt, .bv), or teapot, twisted-quad, steep-patch."""
     size: str = "1440x900"
     """Width x height of the picture in pixels."""
     repeats: int = 9
     """Draws whose median is a time."""
+    loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
     output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def run(self) -> Report:
         """Measure all combinations, fit, draw."""
         check_count("--repeats", self.repeats)
-        scene, size = load(self.scene), parse_size(self.size)
+        scene, size = self.loading.load(self.scene), parse_size(self.size)
         device = open_device()
         inputs = {"scene": digest(scene.patches().tobytes()), "opengl": device.renderer}
         cases = [f"{s}x{s} parts, scale {m:g}, zoom {z:g}" for s, m, z in product(SPLITS, SCALES, ZOOMS)]

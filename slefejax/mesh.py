@@ -210,7 +210,10 @@ class Mesh:
         """
         sharpness = np.where(self.boundary, np.inf, 0.0)
         if len(self.creases):
-            keys, place = self._edge_numbering[0], np.searchsorted(self._edge_numbering[0], self._pair_keys(self.creases))
+            keys, place = (
+                self._edge_numbering[0],
+                np.searchsorted(self._edge_numbering[0], self._pair_keys(self.creases)),
+            )
             missing = np.flatnonzero(keys[np.minimum(place, len(keys) - 1)] != self._pair_keys(self.creases))
             if missing.size:
                 a, b = self.creases[missing[0]].tolist()

@@ -6,11 +6,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from slefejax.bezier import elevate
+from slefejax.conversion.acc import ALPHA
+from slefejax.conversion.nurbs import bezier_axis, spline_patches
+from slefejax.conversion.patchwork import KINDS
+from slefejax.conversion.scheme import Conversion, convert
+from slefejax.conversion.weights import with_common_weights
 from slefejax.data.small import (
     QUAD_EYE,
     QUAD_TARGET,
@@ -21,25 +27,42 @@ from slefejax.data.small import (
     twisted_quad,
 )
 from slefejax.data.teapot import EYE, TARGET, teapot
+from slefejax.defects import check_manifold, isolated_vertices, without_defects
 from slefejax.edges import shared_edges
 from slefejax.errors import InputError
+from slefejax.framing import PAPERS_SHARE, frame_share
 from slefejax.io.bpt import read_bpt
-from slefejax.view import Camera, frame
+from slefejax.io.bv import read_bv
+from slefejax.io.content import Z_UP, Content, Spline
+from slefejax.io.obj import read_obj
+from slefejax.io.ply import read_ply
+from slefejax.io.rhino import read_3dm
+from slefejax.io.usd import read_usd
+from slefejax.mesh import Mesh
+from slefejax.view import Camera
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scene:
-    """Patches with a name, and what was noticed when they were read.
+    """Patches with a name, where they come from, and what was noticed when they were read.
 
-    control : ``(patches, du+1, dv+1, 3)`` float64
-    camera  : the camera that belongs to the scene, or None: ``default_camera`` then frames it
-    notes   : sentences about what loading changed
+    control    : ``(patches, du+1, dv+1, 3)`` float64, 4 at the end if rational
+    camera     : the camera that belongs to the scene, or None: ``default_camera`` then frames it
+    notes      : sentences about what loading changed or left out
+    up         : the direction that is up
+    faces      : ``(patches,)``, the face, the surface or the patch of the file that each comes from
+    kinds      : ``(patches,)``, numbers in ``slefejax.conversion.patchwork.KINDS``
+    conversion : of a control mesh: how patches are made of it, differentiably, in any pose; None for other scenes
     """
 
     name: str
     control: Float[np.ndarray, "patches nu nv dim"]
     camera: Camera | None = None
     notes: tuple[str, ...] = field(default=())
+    up: tuple[float, float, float] = Z_UP
+    faces: Int[np.ndarray, "patches"] | None = None
+    kinds: Int[np.ndarray, "patches"] | None = None
+    conversion: Conversion | None = None
 
     def patches(self) -> Float[np.ndarray, "patches nu nv dim"]:
         """Control points at rest, ``(patches, du+1, dv+1, 3)``, u before v."""
@@ -47,42 +70,168 @@ class Scene:
 
     @cached_property
     def edge_numbers(self) -> Int[np.ndarray, "patches 4"]:
-        """Which edges are shared (``slefejax.edges.shared_edges``), found once."""
-        return shared_edges(self.control)
+        """Which edges are shared, found once: of a control mesh from its topology, otherwise from the points."""
+        return shared_edges(self.control) if self.conversion is None else self.conversion.patchwork.edge_numbers
 
     def points(self) -> Float[np.ndarray, "points 3"]:
         """All control points, divided by their weights if there are any."""
         points = self.control[..., :3] / (self.control[..., 3:] if self.control.shape[-1] == 4 else 1.0)
         return points.reshape(-1, 3)
 
-    def default_camera(self, aspect: float = 1.6) -> Camera:
-        """The scene's own camera, or one that holds all of it in a picture of that width over height."""
-        return self.camera or frame(self.points(), aspect=aspect)
+    def tangents(self) -> tuple[Any, Any]:
+        """Tangent patches at rest (``Conversion.tangents``). Raises InputError for a scene without a control mesh."""
+        if self.conversion is None:
+            raise InputError(f"{self.name} is no control mesh: only those have tangent patches")
+        return self.conversion.tangents(self.conversion.mesh.vertices)
+
+    def default_camera(self, aspect: float = 1.6, cover: float | None = None) -> Camera:
+        """The scene's own camera, or one that frames it in a picture of that width over height.
+
+        cover : the share of the picture that the scene shall cover; .38, as in the papers, where it has no own camera
+        """
+        if self.camera is not None and cover is None:
+            return self.camera
+        return frame_share(self.control, PAPERS_SHARE if cover is None else cover, aspect, self.up)
 
 
-def load(path: str | Path) -> Scene:
-    """A scene from a file (``.bpt``) or by its built-in name (``"teapot"``, ``"twisted-quad"``,
-    ``"steep-patch"``).
+def load(
+    path: str | Path,
+    scheme: str = "auto",
+    *,
+    alpha: float = ALPHA,
+    steps: int | None = None,
+    group: str | tuple[str, ...] | None = None,
+    drop_defects: bool = False,
+) -> Scene:
+    """A scene from a file (.obj, .ply, .usd…, .3dm, .bpt, .bv) or by its built-in name (``"teapot"``,
+    ``"twisted-quad"``, ``"steep-patch"``).
 
-    Patches of different degrees are raised to the highest ones, which leaves their shape as it is; the scene's notes
-    say so. Raises InputError for a file that is missing, of an unknown kind, or not what its name says.
+    scheme, alpha, steps : of control meshes: how patches are made of them (``slefejax.conversion.scheme.convert``)
+    group        : of .obj: read only the faces of these groups or objects
+    drop_defects : of control meshes: leave out faces that keep them from being manifold, instead of refusing them
+
+    Spline surfaces become Bézier patches exactly. Patches of different degrees are raised to the highest ones, and
+    polynomial ones beside rational ones get weights of 1, which leaves their shape as it is. What was changed or left
+    out stands in the scene's notes.
+
+    Raises InputError for a file that is missing, of an unknown kind, or not what its name says; for options that it
+    has no use for; for a control mesh that is not manifold or that the scheme cannot do with, with the number of
+    the face or vertex; for trimmed surfaces.
 
     >>> load("teapot").patches().shape
     (32, 4, 4, 3)
     """
+    options = {"alpha": alpha != ALPHA, "steps": steps is not None, "drop_defects": drop_defects}
+    asked = [name for name, given in {"scheme": scheme != "auto", **options}.items() if given]
     if str(path) in BUILT_IN:
+        if asked or group is not None:
+            raise InputError(
+                f"{path} is a list of patches, no control mesh: {(*asked, 'group')[0]} has no meaning for it"
+            )
         return BUILT_IN[str(path)]()
     if not isinstance(path, (str, Path)):
         raise InputError(f"a file name or a built-in scene is needed, not {path!r}")
     path = Path(path)
+    content = read(path, group)
+    if content.mesh is None and asked:
+        raise InputError(f"{path} holds no control mesh: {asked[0]} has no meaning for it")
+    return _scene(path, content, scheme, alpha, steps, drop_defects)
+
+
+def read(path: Path, group: str | tuple[str, ...] | None = None) -> Content:
+    """What a file holds, before anything is made of it. Raises InputError as ``load`` does."""
     reader = READERS.get(path.suffix.lower())
+    if path.suffix.lower() == ".fbx":
+        raise InputError(f"{path}: FBX is not supported: export the control mesh as .obj or .usd")
     if reader is None:
         raise InputError(
             f"{path}: files of this kind are not read; give a file ending in {', '.join(READERS)}"
             f" or a built-in scene ({', '.join(BUILT_IN)})"
         )
-    control, notes = _common_degree(reader(path))
-    return Scene(path.stem, control, notes=notes)
+    if group is None:
+        return reader(path)
+    if reader is not read_obj:
+        raise InputError(f"{path}: group has a meaning for .obj files only")
+    return read_obj(path, group)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Patches of one origin."""
+
+    patches: list[np.ndarray]
+    faces: np.ndarray
+    kinds: np.ndarray
+
+
+def _scene(path: Path, content: Content, scheme: str, alpha: float, steps: int | None, drop_defects: bool) -> Scene:
+    notes, parts, conversion = content.notes, [], None
+    if content.mesh is not None:
+        conversion, found = _converted(path, content.mesh, scheme, alpha, steps, drop_defects)
+        notes += found
+        work = conversion.patchwork
+        parts.append(
+            _Part(list(work.on_host(conversion.mesh.vertices)), conversion.mesh.numbers[work.faces], work.kinds)
+        )
+    parts += [_spline_part(spline, number) for number, spline in enumerate(content.splines)]
+    if content.patches:
+        count = len(content.patches)
+        parts.append(_Part(list(content.patches), np.arange(count), np.full(count, KINDS.index("bezier"))))
+    control, found = _common_form([patch for part in parts for patch in part.patches])
+    if control.shape[3] == 4:
+        control, factors = with_common_weights(control)
+        found += factors
+    faces, kinds = (np.concatenate([getattr(part, name) for part in parts]) for name in ("faces", "kinds"))
+    alone = conversion if len(parts) == 1 else None
+    return Scene(path.stem, control, None, notes + found, content.up, faces, kinds, alone)
+
+
+def _converted(
+    path: Path, mesh: Mesh, scheme: str, alpha: float, steps: int | None, drop_defects: bool
+) -> tuple[Conversion, tuple[str, ...]]:
+    notes: tuple[str, ...] = ()
+    try:
+        if drop_defects:
+            mesh, notes = without_defects(mesh)
+        else:
+            check_manifold(mesh)
+        isolated = isolated_vertices(mesh)
+        if isolated.size:
+            notes += (f"{isolated.size} vertices belong to no face (the first is {isolated[0]}, counted from 0)",)
+        conversion = convert(mesh, scheme, alpha, steps)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return conversion, notes + conversion.notes
+
+
+def _spline_part(spline: Spline, number: int) -> _Part:
+    if spline.control.shape[2] == 4 and not np.all(spline.control[..., 3] > 0):
+        raise InputError(f"{spline.name} has a weight that is not positive")
+    try:
+        axes = [
+            bezier_axis(spline.knots[k], spline.degrees[k], spline.control.shape[k], spline.bounds[k]) for k in (0, 1)
+        ]
+    except InputError as error:
+        raise InputError(f"{spline.name}: {error}") from None
+    work = spline_patches(spline.control, (axes[0], axes[1]), number)
+    flat = spline.control.reshape(-1, spline.control.shape[2])
+    return _Part(list(work.on_host(flat)), work.faces, work.kinds)
+
+
+def _common_form(patches: list[np.ndarray]) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Patches of one degree, all rational or all polynomial, and what that took."""
+    rational = [patch.shape[2] == 4 for patch in patches]
+    if not any(rational) or all(rational):
+        return _common_degree(patches)
+    same = [
+        p if r else np.concatenate([p, np.ones_like(p[..., :1])], axis=2)
+        for p, r in zip(patches, rational, strict=True)
+    ]
+    control, notes = _common_degree(same)
+    return control, (
+        *notes,
+        f"{len(patches) - sum(rational)} of {len(patches)} patches got weights of 1, as others are rational",
+    )
 
 
 def _common_degree(patches: list[np.ndarray]) -> tuple[np.ndarray, tuple[str, ...]]:
@@ -109,7 +258,17 @@ def _steep_patch() -> Scene:
     return Scene("steep-patch", steep_patch(), Camera.look_at(STEEP_EYE, STEEP_TARGET, fov_y=STEEP_FOV, near=0.05))
 
 
-READERS: dict[str, Callable[[Path], list[np.ndarray]]] = {".bpt": read_bpt}
+READERS: dict[str, Callable[[Path], Content]] = {
+    ".obj": read_obj,
+    ".ply": read_ply,
+    ".usd": read_usd,
+    ".usda": read_usd,
+    ".usdc": read_usd,
+    ".usdz": read_usd,
+    ".3dm": read_3dm,
+    ".bpt": read_bpt,
+    ".bv": read_bv,
+}
 BUILT_IN: dict[str, Callable[[], Scene]] = {
     "teapot": _teapot,
     "twisted-quad": _twisted_quad,

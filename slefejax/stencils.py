@@ -121,7 +121,7 @@ class StencilTable:
     @cached_property
     def _by_class(self) -> list[tuple[int, np.ndarray]]:
         """(width, rows) of every class, and the rows in it."""
-        ladder = list(WIDTHS)
+        ladder: list[int] = list(WIDTHS)
         while ladder[-1] < self.counts.max(initial=0):
             ladder.append(int(np.ceil(ladder[-1] * _GROWTH)))
         steps = np.array(ladder)

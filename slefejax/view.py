@@ -215,17 +215,25 @@ def frame(
     view_direction: Vector = (-0.5, 0.75, -0.4),
     fov_y: float = 45.0,
     aspect: float = 1.0,
+    up: Vector = (0.0, 0.0, 1.0),
 ) -> Camera:
-    """A perspective camera, up z, that looks along ``view_direction`` and holds the bounding sphere of the points.
+    """A perspective camera that looks along ``view_direction`` and holds the bounding sphere of the points.
 
-    aspect : of the picture, width over height; a narrow picture needs more distance
+    view_direction : as if z were up; it is turned if y is
+    aspect         : of the picture, width over height; a narrow picture needs more distance
     """
     centre, radius = bounding_sphere(points)
-    direction = np.asarray(view_direction, np.float64)
+    direction = turned_up(view_direction, up)
     half = np.arctan(np.tan(np.deg2rad(fov_y) / 2.0) * min(1.0, aspect))
     distance = radius / np.sin(half)
-    eye = centre - direction / np.linalg.norm(direction) * distance
-    return Camera.look_at(eye, centre, fov_y=fov_y, near=(distance - radius) / 4.0, far=4.0 * (distance + radius))
+    eye = centre - direction * distance
+    return Camera.look_at(eye, centre, up, fov_y=fov_y, near=(distance - radius) / 4.0, far=4.0 * (distance + radius))
+
+
+def turned_up(direction: Vector, up: Vector) -> np.ndarray:
+    """A direction, given as if z were up, as a unit vector where ``up`` is the y or the z axis."""
+    x, y, z = np.asarray(direction, np.float64) / np.linalg.norm(direction)
+    return np.array([x, z, -y]) if up[1] else np.array([x, y, z])
 
 
 def homogeneous(points: Float[Array | np.ndarray, "*rest dim"]) -> Any:

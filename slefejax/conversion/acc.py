@@ -105,7 +105,9 @@ def corner_points(around: Neighbourhood, masks: StencilTable) -> StencilTable:
     mesh, rule = around.mesh, around.rule
     count = mesh.vertex_count
     identity = StencilTable.identity(count)
-    gather = StencilTable.of(mesh.corners, np.arange(len(mesh.corners)), np.ones(len(mesh.corners)), (count, masks.rows))
+    gather = StencilTable.of(
+        mesh.corners, np.arange(len(mesh.corners)), np.ones(len(mesh.corners)), (count, masks.rows)
+    )
     smooth = gather @ masks
     along = identity.scaled(4.0) + neighbours(mesh, around.sharp)
     sums = np.where(rule == SMOOTH, smooth.row_sums(), 1.0)

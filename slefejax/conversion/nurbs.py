@@ -2,8 +2,8 @@
 
 On the interval [a, b] between two knots a spline is a polynomial, and its Bézier coefficient j is the blossom of that
 polynomial with degree - j arguments a and j arguments b. Each step of the blossom is one of de Boor's affine
-combinations, so the weights depend on the knots alone. Rational surfaces go through the same table as homogeneous points
-(w x, w y, w z, w).
+combinations, so the weights depend on the knots alone. Rational surfaces go through the same table as homogeneous
+points (w x, w y, w z, w).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array, kron
 
-from slefejax.conversion.patchwork import Patchwork
+from slefejax.conversion.patchwork import KINDS, Patchwork
 from slefejax.errors import InputError
 from slefejax.slefe import HIGHEST_DEGREE
 from slefejax.stencils import StencilTable
@@ -35,7 +35,9 @@ class Axis:
     net: Int[np.ndarray, "intervals order"]
 
 
-def bezier_axis(knots: Float[np.ndarray, "knots"], degree: int, count: int, bounds: tuple[float, float] | None = None) -> Axis:
+def bezier_axis(
+    knots: Float[np.ndarray, "knots"], degree: int, count: int, bounds: tuple[float, float] | None = None
+) -> Axis:
     """How the Bézier points of a spline of that degree, with ``count`` control points, are made of them.
 
     knots  : count + degree + 1 numbers, not decreasing; those at the ends need not be repeated
@@ -71,7 +73,8 @@ def check_knots(knots: np.ndarray, degree: int, count: int) -> None:
         raise InputError(f"a spline of degree {degree} needs at least {degree + 1} control points, not {count}")
     if knots.shape != (count + degree + 1,):
         raise InputError(
-            f"a spline of degree {degree} with {count} control points needs {count + degree + 1} knots, not {knots.size}"
+            f"a spline of degree {degree} with {count} control points needs {count + degree + 1} knots,"
+            f" not {knots.size}"
         )
     if not np.isfinite(knots).all() or np.any(np.diff(knots) < 0):
         raise InputError("the knots of a spline must be finite numbers that do not decrease")
@@ -99,9 +102,7 @@ def _blossom_weights(knots: np.ndarray, degree: int, i: int, arguments: list[flo
     return points[0]
 
 
-def spline_patches(
-    control: Float[np.ndarray, "nu nv dim"], axes: tuple[Axis, Axis], surface: int = 0
-) -> Patchwork:
+def spline_patches(control: Float[np.ndarray, "nu nv dim"], axes: tuple[Axis, Axis], surface: int = 0) -> Patchwork:
     """Bézier patches of a tensor-product spline; its control points are numbered row by row, u before v.
 
     control : only to see which control points coincide: where a surface closes or shrinks to a point, patches then
@@ -113,7 +114,7 @@ def spline_patches(
     across = len(axes[1].rows)
     net = axes[0].net[:, None, :, None] * across + axes[1].net[None, :, None, :]
     net = place[net.reshape(-1, *net.shape[2:])]
-    return Patchwork(table, net, np.full(len(net), surface), np.zeros(len(net), np.int64))
+    return Patchwork(table, net, np.full(len(net), surface), np.full(len(net), KINDS.index("spline")))
 
 
 def _merged(rows: Any, control: np.ndarray) -> tuple[StencilTable, Int[np.ndarray, "rows"]]:

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from slefejax.edges import shared_edges
 from slefejax.stencils import StencilTable
 
-KINDS = ("regular", "extraordinary", "boundary", "crease", "triangle")
+KINDS = ("regular", "extraordinary", "boundary", "crease", "triangle", "spline", "bezier")
 
 
 @dataclass(frozen=True, eq=False)

@@ -59,7 +59,7 @@ class Conversion:
     def kind_counts(self) -> dict[str, int]:
         """How many patches of each kind there are."""
         counts = np.bincount(self.patchwork.kinds, minlength=len(KINDS)).tolist()
-        return dict(zip(KINDS, counts, strict=True))
+        return {kind: count for kind, count in zip(KINDS, counts, strict=True) if count}
 
 
 def convert(mesh: Mesh, scheme: str = "auto", alpha: float = ALPHA, steps: int | None = None) -> Conversion:

@@ -99,8 +99,8 @@ class _Reader:
             raise self.fail("a tag should be 't NAME ints/floats/strings' and so many values") from None
         sharpness = [self.real(item, "a sharpness") for item in floats]
         if name not in ("crease", "corner"):
-            default = name == "interpolateboundary" and ints == [1]
-            self.others[f"t {name}"] += not default
+            if name != "interpolateboundary" or ints != [1]:  # 1 is how boundaries are treated here
+                self.others[f"t {name}"] += 1
             return
         many = len(ints) - 1 if name == "crease" else len(ints)
         if many < 1 or len(sharpness) not in (1, many):
@@ -139,6 +139,7 @@ def read_obj(path: Path, group: str | tuple[str, ...] | None = None) -> Content:
 def _statements(text: str) -> Iterator[tuple[int, list[str]]]:
     """(line, words) of every statement, comments left out, continued lines joined."""
     words: list[str] = []
+    number = 0
     for number, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), 1):
         line = line.split("#", 1)[0].rstrip()
         goes_on = line.endswith("\\")
@@ -152,8 +153,9 @@ def _statements(text: str) -> Iterator[tuple[int, list[str]]]:
 
 def _mesh(reader: _Reader) -> Mesh:
     count = len(reader.vertices)
-    for reader.line, face in zip(reader.lines, reader.faces, strict=True):
+    for line, face in zip(reader.lines, reader.faces, strict=True):
         if max(face) >= count:
+            reader.line = line
             raise reader.fail(f"the face names vertex {max(face) + 1}, but there are {count}: is the file complete?")
     named = [v for a, b, _ in reader.creases for v in (a, b)] + [v for v, _ in reader.points]
     if named and not 0 <= min(named) <= max(named) < count:

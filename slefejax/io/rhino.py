@@ -26,21 +26,22 @@ def read_3dm(path: Path) -> Content:
         import rhino3dm
     except ImportError:
         raise InputError(f"{path}: to read .3dm, install rhino3dm (pip install 'slefejax[rhino]')") from None
-    model = rhino3dm.File3dm.Read(str(path))
+    model: Any = rhino3dm.File3dm.Read(str(path))
     if model is None:
         raise InputError(f"{path} is no .3dm file that can be read: is it complete?")
     meshes: list[Mesh] = []
     splines: list[Spline] = []
     others: Counter[str] = Counter()
     for number, item in enumerate(model.Objects):
-        shape = item.Geometry
+        shape: Any = item.Geometry
         name = f"{path}: object {number} (counted from 0)"
         if isinstance(shape, rhino3dm.Extrusion):
             shape = shape.ToBrep(True)
         if isinstance(shape, rhino3dm.Mesh):
             meshes.append(_mesh(shape, name))
         elif isinstance(shape, rhino3dm.Brep):
-            splines += [_face(shape.Faces[k], f"{name}, face {k}") for k in range(len(shape.Faces))]
+            faces: Any = shape.Faces
+            splines += [_face(faces[k], f"{name}, face {k}") for k in range(len(faces))]
         elif isinstance(shape, rhino3dm.Surface):
             splines.append(_surface(shape.ToNurbsSurface(), name))
         else:

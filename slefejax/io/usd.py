@@ -22,23 +22,20 @@ def read_usd(path: Path) -> Content:
     """
     read_bytes(path)  # says what is wrong with the file itself
     try:
-        from pxr import Tf, Usd, UsdGeom  # type: ignore[import-not-found]
+        from pxr import Tf, Usd, UsdGeom
     except ImportError:
         raise InputError(f"{path}: to read USD, install usd-core (pip install 'slefejax[usd]')") from None
+    usd: Any = Usd  # whose stubs know little
+    geometry: Any = UsdGeom
     try:
-        stage = Usd.Stage.Open(str(path))
-    except Tf.ErrorException as error:
-        raise InputError(f"{path} is no USD file that can be read: {_first_line(error)}") from None
-    reader = _Reader(path, Usd.TimeCode.EarliestTime(), UsdGeom)
+        stage = usd.Stage.Open(str(path))
+    except Tf.ErrorException:
+        raise InputError(f"{path} is no USD file that can be read: is it complete?") from None
+    reader = _Reader(path, usd.TimeCode.EarliestTime(), geometry)
     for prim in stage.Traverse():
         reader.take(prim)
-    up = Y_UP if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y else Z_UP
+    up = Y_UP if geometry.GetStageUpAxis(stage) == geometry.Tokens.y else Z_UP
     return reader.content(up)
-
-
-def _first_line(error: Exception) -> str:
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return lines[-1] if lines else type(error).__name__
 
 
 class _Reader:
@@ -123,7 +120,9 @@ class _Reader:
     def remark(self, mesh: Any, name: str) -> None:
         scheme = self.get(mesh.GetSubdivisionSchemeAttr())
         if scheme in ("none", "loop", "bilinear"):
-            self.notes.append(f"{name} says subdivision scheme '{scheme}': it was taken as a Catmull-Clark control mesh")
+            self.notes.append(
+                f"{name} says subdivision scheme '{scheme}': it was taken as a Catmull-Clark control mesh"
+            )
         rule = self.get(mesh.GetInterpolateBoundaryAttr())
         if rule not in (None, "edgeAndCorner"):
             self.notes.append(f"{name} says boundary rule '{rule}': it was taken as 'edgeAndCorner'")
@@ -148,7 +147,9 @@ class _Reader:
     def nurbs(self, patch: Any) -> None:
         name = str(patch.GetPath())
         if len(self.array(patch.GetTrimCurveCountsAttr(), np.int64)):
-            raise InputError(f"{self.path}: {name} is a trimmed surface, which is not supported: remove its trim curves")
+            raise InputError(
+                f"{self.path}: {name} is a trimmed surface, which is not supported: remove its trim curves"
+            )
         nu, nv = (int(self.get(a(), 0)) for a in (patch.GetUVertexCountAttr, patch.GetVVertexCountAttr))
         points = self.points(patch)
         if nu < 2 or nv < 2 or len(points) != nu * nv:

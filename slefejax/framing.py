@@ -1,0 +1,95 @@
+"""A camera from which a scene covers a given share of the screen."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from slefejax.bezier import evaluate_patch
+from slefejax.errors import InputError
+from slefejax.view import Camera, turned_up
+
+PAPERS_SHARE = 0.38  # of the screen that a model covers in the papers (2012, section 4)
+DIRECTION = (-0.5, 0.75, -0.4)
+_PICTURE = 300  # pixels along the wider side of the picture in which coverage is measured
+_MARGIN = 0.98  # of half the picture, within which everything stays
+_CELLS = 20_000  # quads that are painted at most, as far as the number of patches allows
+_STEPS = 6
+_WITHIN = 0.002  # of the screen; a hundredth of what a different model or view changes
+
+
+def frame_share(
+    patches: Float[np.ndarray, "patches nu nv dim"],
+    share: float = PAPERS_SHARE,
+    aspect: float = 1.6,
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0),
+    fov_y: float = 45.0,
+) -> Camera:
+    """A perspective camera from which the patches cover that share of the picture, or, if that is less, as much as can
+    be seen with all of them on the screen.
+
+    aspect : of the picture, width over height;  up : the y or the z axis
+
+    Raises InputError for a share outside 0 ... 1.
+    """
+    if not 0.0 < share <= 1.0:
+        raise InputError(f"the share of the screen that is covered must lie between 0 and 1, not {share}")
+    quads = _quads(patches)
+    flat = quads.reshape(-1, 3)
+    centre = (flat.min(axis=0) + flat.max(axis=0)) / 2.0
+    size = float(np.abs(flat - centre).max()) or 1.0
+    forward = turned_up(DIRECTION, up)
+    right = np.cross(forward, up) / np.linalg.norm(np.cross(forward, up))
+    axes = np.stack([right, np.cross(right, forward), forward])
+    local = (quads - centre) @ axes.T / size
+    tangent = np.tan(np.deg2rad(fov_y) / 2.0)
+    half = np.array([tangent * aspect, tangent])
+    closest = float(np.max(np.abs(local[..., :2]) / (_MARGIN * half) - local[..., 2:]))
+    closest = max(closest, 1e-3 - float(local[..., 2].min()), 1e-3)
+    distance = _distance(local, half, closest, share)
+    depths = distance + local[..., 2]
+    near, far = 0.5 * float(depths.min()), 2.0 * float(depths.max())
+    return Camera.look_at(centre - forward * distance * size, centre, up, fov_y, near * size, far * size)
+
+
+def _distance(local: np.ndarray, half: np.ndarray, closest: float, share: float) -> float:
+    """Where the share is reached: coverage falls nearly with the square of the distance."""
+    distance, found = closest, _coverage(local, half, closest)
+    low = closest
+    for _ in range(_STEPS):
+        if abs(found - share) < _WITHIN or (found < share and distance <= low):
+            break
+        distance = max(low, distance * float(np.sqrt(max(found, 1e-4) / share)))
+        found = _coverage(local, half, distance)
+    return distance
+
+
+def _coverage(local: np.ndarray, half: np.ndarray, distance: float) -> float:
+    """The share of the picture that the quads cover from that distance."""
+    from PIL import Image, ImageDraw  # not needed by whoever only computes
+
+    aspect = half[0] / half[1]
+    width, height = (_PICTURE, round(_PICTURE / aspect)) if aspect > 1 else (round(_PICTURE * aspect), _PICTURE)
+    size = np.array([max(1, width), max(1, height)])
+    screen = local[..., :2] / (distance + local[..., 2:]) / half
+    pixels = (0.5 * size * (1.0 + screen)).reshape(len(local), -1)
+    picture: Any = Image.new("1", tuple(size.tolist()))
+    draw = ImageDraw.Draw(picture)
+    for corners in pixels.tolist():
+        draw.polygon(corners, fill=1)
+    return float(np.asarray(picture).mean())
+
+
+def _quads(patches: np.ndarray) -> Float[np.ndarray, "quads 4 3"]:
+    """The patches cut into a few quads each."""
+    pieces = int(np.clip(np.sqrt(_CELLS / len(patches)), 1, 8))
+    t = np.linspace(0.0, 1.0, pieces + 1)
+    u, v = np.meshgrid(t, t, indexing="ij")
+    control = np.moveaxis(patches, 0, -1)[..., None, None]
+    grid = evaluate_patch(control, u, v)
+    if len(grid) == 4:
+        grid = grid[:3] / grid[3]
+    a, b, c, d = grid[..., :-1, :-1], grid[..., 1:, :-1], grid[..., 1:, 1:], grid[..., :-1, 1:]
+    return np.moveaxis(np.stack([a, b, c, d]), 1, -1).reshape(4, -1, 3).swapaxes(0, 1)
