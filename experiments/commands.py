@@ -10,6 +10,7 @@ from slefejax.experiments.certify import Certify
 from slefejax.experiments.doctor import Doctor
 from slefejax.experiments.error_time import ErrorTime
 from slefejax.experiments.factors import FactorsOfScene
+from slefejax.experiments.inspect import Inspect
 from slefejax.experiments.minimality import Minimality
 from slefejax.experiments.scaling import Scaling
 from slefejax.experiments.tightness import Tightness
@@ -17,6 +18,7 @@ from slefejax.experiments.tightness import Tightness
 Command = (
     Annotated[Minimality, subcommand("minimality")]
     | Annotated[FactorsOfScene, subcommand("factors")]
+    | Annotated[Inspect, subcommand("inspect")]
     | Annotated[Certify, subcommand("certify")]
     | Annotated[ErrorTime, subcommand("error-time")]
     | Annotated[Scaling, subcommand("scaling")]

@@ -189,9 +189,7 @@ def error_shares(error: np.ndarray) -> Row:
 
 
 def _left_out(scene: Scene, options: PredictionOptions) -> list[str]:
-    left = ["skinning and shape keys: the scene does not move"]
-    if scene.patches().shape[-1] == 3:
-        left.append("weights: the patches are polynomial")
+    left = list(scene.left_out())
     if options.depth_tolerance is None:
         left.append("depth widths: no depth tolerance was given")
     return left

@@ -40,7 +40,7 @@ class ViewOptions:
     def view(self, scene: Scene) -> View:
         """The view that these options ask for. Raises InputError for numbers that make no camera."""
         width, height = parse_size(self.size)
-        own = scene.default_camera(width / height, self.cover)
+        own = self._framed(scene, width / height)
         eye = own.eye if self.eye is None else np.asarray(self.eye)
         near, far = self._planes(scene, own, eye)
         camera = Camera.look_at(
@@ -52,6 +52,12 @@ class ViewOptions:
             far,
         )
         return View(camera, width, height)
+
+    def _framed(self, scene: Scene, aspect: float) -> Camera:
+        """The scene's own camera, or one that frames it with what is asked for up if the eye is not given."""
+        if self.eye is not None:
+            return scene.default_camera(aspect)
+        return scene.default_camera(aspect, self.cover, self.up)
 
     def _planes(self, scene: Scene, own: Camera, eye: np.ndarray) -> tuple[float, float]:
         """Near and far: as given, else the camera's own, moved so that the whole scene lies between them."""

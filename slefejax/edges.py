@@ -19,20 +19,22 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int, Shaped
 
 from slefejax.errors import InputError
 
 EDGES = ("u=0", "v=0", "u=1", "v=1")
 
 
-def edge_points(patches: Float[np.ndarray, "patches nu nv dim"]) -> list[np.ndarray]:
+def edge_points(patches: Shaped[np.ndarray, "patches nu nv dim"]) -> list[np.ndarray]:
     """Control points of the four edges of every patch, each ``(patches, points, dim)``, in OpenGL's order."""
     return [patches[:, 0], patches[:, :, 0], patches[:, -1], patches[:, :, -1]]
 
 
-def shared_edges(patches: Float[np.ndarray, "patches nu nv dim"]) -> Int[np.ndarray, "patches 4"]:
+def shared_edges(patches: Shaped[np.ndarray, "patches nu nv dim"]) -> Int[np.ndarray, "patches 4"]:
     """A number for every edge of every patch, equal exactly where edges are shared (module docstring).
+
+    patches : control points, or numbers of control points ``(patches, nu, nv, 1)``
 
     >>> quad = np.array([[[0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0]]], float)
     >>> shared_edges(np.stack([quad, quad + [1, 0, 0]])).tolist()

@@ -30,12 +30,14 @@ def frame_share(
     """A perspective camera from which the patches cover that share of the picture, or, if that is less, as much as can
     be seen with all of them on the screen.
 
-    aspect : of the picture, width over height;  up : the y or the z axis
+    aspect : of the picture, width over height;  up : any direction
 
-    Raises InputError for a share outside 0 ... 1.
+    Raises InputError for a share outside 0 ... 1, or no direction that is up.
     """
     if not 0.0 < share <= 1.0:
         raise InputError(f"the share of the screen that is covered must lie between 0 and 1, not {share}")
+    if not (np.isfinite(up).all() and np.linalg.norm(up) > 0):
+        raise InputError(f"up must be a direction, not {tuple(up)}")
     quads = _quads(patches)
     flat = quads.reshape(-1, 3)
     centre = (flat.min(axis=0) + flat.max(axis=0)) / 2.0
@@ -46,7 +48,13 @@ def frame_share(
     local = (quads - centre) @ axes.T / size
     tangent = np.tan(np.deg2rad(fov_y) / 2.0)
     half = np.array([tangent * aspect, tangent])
-    closest = float(np.max(np.abs(local[..., :2]) / (_MARGIN * half) - local[..., 2:]))
+    # the middle of the picture is where both sides, and top and bottom, need the same distance
+    room = _MARGIN * half
+    sides = [np.max(sign * local[..., :2] / room - local[..., 2:], axis=(0, 1)) for sign in (1.0, -1.0)]
+    middle = room * (sides[0] - sides[1]) / 2.0
+    local[..., :2] -= middle
+    centre = centre + size * middle @ axes[:2]
+    closest = float(np.max(sides[0] + sides[1]) / 2.0)
     closest = max(closest, 1e-3 - float(local[..., 2].min()), 1e-3)
     distance = _distance(local, half, closest, share)
     depths = distance + local[..., 2]

@@ -16,7 +16,7 @@ a boundary. ``Fans`` may be made to end elsewhere, so that a sharp crease divide
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -70,7 +70,7 @@ class Mesh:
     point_sharpness: Float[np.ndarray, "points"] = field(default_factory=lambda: np.zeros(0))
 
     @staticmethod
-    def of(vertices: Any, faces: Iterable[Sequence[int]]) -> Mesh:
+    def of(vertices: Any, faces: Iterable[Any]) -> Mesh:
         """A mesh from positions ``(vertices, 3)`` and faces, each a sequence of vertex numbers from 0.
 
         Raises InputError for positions that are not finite, faces with fewer than three corners, and vertex numbers

@@ -78,20 +78,33 @@ class Scene:
         points = self.control[..., :3] / (self.control[..., 3:] if self.control.shape[-1] == 4 else 1.0)
         return points.reshape(-1, 3)
 
+    def left_out(self) -> tuple[str, ...]:
+        """What is not computed because this scene does not need it, a sentence each."""
+        left = ["skinning and shape keys: the scene does not move"]
+        if self.control.shape[-1] == 3:
+            left.append("weights: the patches are polynomial")
+        if self.conversion is not None and self.conversion.finer.sizes.min() > 3:
+            left.append("triangle stencils: patches come from quads only")
+        return tuple(left)
+
     def tangents(self) -> tuple[Any, Any]:
         """Tangent patches at rest (``Conversion.tangents``). Raises InputError for a scene without a control mesh."""
         if self.conversion is None:
             raise InputError(f"{self.name} is no control mesh: only those have tangent patches")
         return self.conversion.tangents(self.conversion.mesh.vertices)
 
-    def default_camera(self, aspect: float = 1.6, cover: float | None = None) -> Camera:
+    def default_camera(
+        self, aspect: float = 1.6, cover: float | None = None, up: tuple[float, float, float] | None = None
+    ) -> Camera:
         """The scene's own camera, or one that frames it in a picture of that width over height.
 
-        cover : the share of the picture that the scene shall cover; .38, as in the papers, where it has no own camera
+        cover : the share of the picture that the scene shall cover; .38, as in the papers, where it has no own camera.
+                Less where all of it would not be on the screen otherwise
+        up    : the direction that is up in the picture; the scene's own if not given
         """
-        if self.camera is not None and cover is None:
+        if self.camera is not None and cover is None and up is None:
             return self.camera
-        return frame_share(self.control, PAPERS_SHARE if cover is None else cover, aspect, self.up)
+        return frame_share(self.control, PAPERS_SHARE if cover is None else cover, aspect, up or self.up)
 
 
 def load(

@@ -219,7 +219,7 @@ def frame(
 ) -> Camera:
     """A perspective camera that looks along ``view_direction`` and holds the bounding sphere of the points.
 
-    view_direction : as if z were up; it is turned if y is
+    view_direction : as if z were up; it is turned to where ``up`` is
     aspect         : of the picture, width over height; a narrow picture needs more distance
     """
     centre, radius = bounding_sphere(points)
@@ -231,9 +231,12 @@ def frame(
 
 
 def turned_up(direction: Vector, up: Vector) -> np.ndarray:
-    """A direction, given as if z were up, as a unit vector where ``up`` is the y or the z axis."""
-    x, y, z = np.asarray(direction, np.float64) / np.linalg.norm(direction)
-    return np.array([x, z, -y]) if up[1] else np.array([x, y, z])
+    """A direction, given as if z were up, as a unit vector where ``up`` is: turned by what takes the z axis there."""
+    vector, up = (np.asarray(v, np.float64) / np.linalg.norm(v) for v in (direction, up))
+    if up[2] < -1.0 + 1e-9:
+        return vector * [1.0, -1.0, -1.0]
+    axis, cosine = np.cross([0.0, 0.0, 1.0], up), up[2]
+    return cosine * vector + np.cross(axis, vector) + axis * (axis @ vector) / (1.0 + cosine)
 
 
 def homogeneous(points: Float[Array | np.ndarray, "*rest dim"]) -> Any:

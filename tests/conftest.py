@@ -15,7 +15,8 @@ jax.config.update("jax_enable_x64", True)
 
 install_import_hook(
     [f"slefejax.{name}" for name in ("arguments", "bezier", "edges", "error", "layout", "slefe", "tessellator", "view")]
-    + ["slefejax.estimate", "slefejax.scene", "slefejax.slefe_tables", "slefejax.gpu.renderer", "slefejax.rings"],
+    + ["slefejax.estimate", "slefejax.scene", "slefejax.slefe_tables", "slefejax.gpu.renderer", "slefejax.rings"]
+    + ["slefejax.mesh", "slefejax.defects", "slefejax.stencils", "slefejax.framing", "slefejax.conversion"],
     "beartype.beartype",
 )
 

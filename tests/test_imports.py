@@ -14,7 +14,19 @@ ROOT = Path(__file__).resolve().parents[1]
 # Each layer may import itself and those before it.
 LAYERS = [
     {"errors"},
-    {"bezier", "view", "layout", "edges", "tessellator", "slefe_tables", "arguments", "rings", "fewest"},
+    {
+        "bezier",
+        "view",
+        "layout",
+        "edges",
+        "tessellator",
+        "slefe_tables",
+        "arguments",
+        "rings",
+        "fewest",
+        "mesh",
+        "stencils",
+    },
     {
         "slefe",
         "bspline",
@@ -29,6 +41,9 @@ LAYERS = [
         "supremum",
         "triangles",
         "error",
+        "defects",
+        "conversion",
+        "framing",
         "io",
         "data",
     },

@@ -9,9 +9,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from slefejax import layout
 from slefejax.edges import shared_edges
 from slefejax.stencils import StencilTable
 
@@ -40,6 +42,15 @@ class Patchwork:
     def on_host(self, control: Any) -> Float[np.ndarray, "patches nu nv dim"]:
         """The same in float64 by NumPy alone."""
         return self.points.on_host(control)[self.net]
+
+    @cached_property
+    def _packed_net(self) -> Int[np.ndarray, "chunks nu nv lanes"]:
+        return layout.pack(self.net.astype(np.int32))
+
+    def packed(self, control: Any) -> Any:
+        """The same by JAX in the layout of the kernels, ``(chunks, du+1, dv+1, dim, lanes)`` (``slefejax.layout``)."""
+        points, net = self.points(control), self._packed_net
+        return jnp.stack([points[:, k][net] for k in range(points.shape[1])], axis=3)
 
     @cached_property
     def edge_numbers(self) -> Int[np.ndarray, "patches 4"]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
+from slefejax.arguments import is_whole
 from slefejax.conversion.acc import ALPHA, acc_patches
 from slefejax.conversion.catmull_clark import refine
 from slefejax.conversion.patchwork import KINDS, Patchwork
@@ -62,7 +63,7 @@ class Conversion:
         return {kind: count for kind, count in zip(KINDS, counts, strict=True) if count}
 
 
-def convert(mesh: Mesh, scheme: str = "auto", alpha: float = ALPHA, steps: int | None = None) -> Conversion:
+def convert(mesh: Mesh, scheme: str = "auto", alpha: Any = ALPHA, steps: Any = None) -> Conversion:
     """Patches of a manifold control mesh.
 
     scheme : ``"acc"`` for meshes of quads; ``"pinched"`` for quads and triangles; ``"bspline"``, only for regular
@@ -95,12 +96,12 @@ def _one_more(
     return finer, step if table is None else step @ table, parents[faces]
 
 
-def _check(scheme: str, alpha: float, steps: int | None) -> None:
+def _check(scheme: str, alpha: Any, steps: Any) -> None:
     if scheme not in SCHEMES:
         raise InputError(f"there is no scheme {scheme!r}: choose one of {', '.join(SCHEMES)}")
     if not (np.ndim(alpha) == 0 and np.isfinite(alpha) and alpha > 0):
         raise InputError(f"alpha must be a positive number, not {alpha!r}")
-    if steps is not None and not (isinstance(steps, (int, np.integer)) and 1 <= steps <= _MOST_STEPS):
+    if steps is not None and not (is_whole(steps, 1) and steps <= _MOST_STEPS):
         raise InputError(f"steps must be a whole number from 1 to {_MOST_STEPS}, not {steps!r}")
 
 

@@ -1,0 +1,193 @@
+"""What is in a file, what conversion makes of it, and how it looks."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+
+from slefejax import Scene, View, tessellation_factors
+from slefejax.conversion.acc import acc_patches
+from slefejax.conversion.patchwork import KINDS
+from slefejax.defects import find_defects, isolated_vertices
+from slefejax.edges import edge_points
+from slefejax.error import pixel_error
+from slefejax.errors import InputError, NoOpenGLError
+from slefejax.experiments.options import LoadOptions, OutputOptions, ViewOptions, camera_record
+from slefejax.experiments.report import Report
+from slefejax.experiments.store import Row, Run, digest
+from slefejax.figures.inspect import Panels, write_inspect_figure
+from slefejax.gpu import Renderer, open_device
+from slefejax.io.content import Content
+from slefejax.mesh import Mesh
+from slefejax.scene import BUILT_IN, read
+from slefejax.tessellator import HIGHEST_LEVEL, triangle_counts
+from slefejax.view import homogeneous
+
+
+@dataclass(frozen=True)
+class Inspect:
+    """Counts, valences, boundaries, defects; what patches are made and by what tables; a picture of all that."""
+
+    scene: tyro.conf.Positional[str]
+    """A file (.obj, .ply, .usd…, .3dm, .bpt, .bv), or teapot, twisted-quad, steep-patch."""
+    tolerance: float = 0.5
+    """Error in pixels for the factors that the picture shows."""
+    loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
+    camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
+    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def run(self) -> Report:
+        """Read, count, convert, draw."""
+        content = None if self.scene in BUILT_IN else read(Path(self.scene), self.loading.arguments()["group"])
+        row: Row = {} if content is None or content.mesh is None else mesh_row(content.mesh)
+        try:
+            scene = self.loading.load(self.scene)
+        except InputError as error:
+            if content is None or content.mesh is None:
+                raise
+            return self._refused(content, row, str(error))
+        row |= patch_row(scene)
+        view = self.camera.view(scene)
+        arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
+        with Run("inspect", arguments, self.output.out, {"scene": digest(scene.patches().tobytes())}) as run:
+            notes = (*scene.notes, *(f"not needed: {what}" for what in scene.left_out()))
+            found, said = _picture(scene, view, self.tolerance, run)
+            row |= found
+            notes += said
+            out = run.finish([row], {"scene": scene.name, "notes": notes})
+        title = f"{scene.name}: {len(scene.patches()):,} patches"
+        return Report(scene.name, out, [row], title, notes, {}, self.output.json)
+
+    def _refused(self, content: Content, row: Row, reason: str) -> Report:
+        """Of a mesh that makes no scene: what it is, and why not."""
+        assert content.mesh is not None
+        name = Path(self.scene).stem
+        notes = (*content.notes, f"this makes no scene: {reason}")
+        with Run("inspect", {**asdict(self), "output": None}, self.output.out, {"reason": reason}) as run:
+            out = run.finish([row], {"scene": name, "notes": notes})
+        return Report(name, out, [row], f"{name}: no scene", notes, {}, self.output.json)
+
+
+def mesh_row(mesh: Mesh) -> Row:
+    """The control mesh in numbers. Times are milliseconds of one run on the host."""
+    defects, topology_ms = _timed(lambda: find_defects(mesh))
+    sizes, valence = mesh.sizes, mesh.valence[mesh.valence > 0]
+    sharp = mesh.crease_sharpness
+    counts = np.bincount(valence)
+    row = {
+        "vertices": mesh.vertex_count,
+        "isolated_vertices": len(isolated_vertices(mesh)),
+        "faces": mesh.face_count,
+        "triangles_of_the_mesh": int(np.sum(sizes == 3)),
+        "quads": int(np.sum(sizes == 4)),
+        "larger_faces": int(np.sum(sizes > 4)),
+        "pieces": mesh.components[0],
+        "boundary_edges": int(np.sum(mesh.boundary)),
+        "valences": ", ".join(f"{counts[n]} of {n}" for n in np.flatnonzero(counts)),
+        "creases": f"{len(sharp)}, sharpness up to {sharp.max():g}" if len(sharp) else "none",
+        "coincident_vertices": mesh.vertex_count - len(np.unique(mesh.vertices, axis=0)),
+        "defects": "; ".join(defect.what for defect in defects) or "none",
+        "topology_ms": topology_ms,
+    }
+    return row
+
+
+def patch_row(scene: Scene) -> Row:
+    """The patches in numbers and, of a control mesh, the table that makes them."""
+    _, nu, nv, dimension = scene.patches().shape
+    uses = np.bincount(scene.edge_numbers.ravel())
+    collapsed = sum(np.all(e == e[:, :1], axis=(1, 2)).sum() for e in edge_points(scene.patches()))
+    row: Row = {
+        "patches": len(scene.patches()),
+        "bi_degree": f"{nu - 1} x {nv - 1}" + (", rational" if dimension == 4 else ""),
+        "common_edges": int(np.sum(uses > 1)),
+        "free_edges": int(np.sum(uses == 1) - collapsed),
+        "edges_of_no_length": int(collapsed),
+    }
+    if scene.kinds is not None:
+        counts = np.bincount(scene.kinds, minlength=len(KINDS))
+        row["kinds"] = ", ".join(f"{n} {kind}" for kind, n in zip(KINDS, counts, strict=True) if n)
+    if scene.conversion is not None:
+        table = scene.conversion.patchwork.points
+        _, tables_ms = _timed(lambda: acc_patches(scene.conversion.finer).points.groups)  # type: ignore[union-attr]
+        row |= {
+            "scheme": scene.conversion.scheme,
+            "table_rows": table.rows,
+            "table_weights": int(table.matrix.nnz),
+            "table_kilobytes": round(table.padded_bytes / 1024),
+            "padding_share": table.padding,
+            "widest_stencil": int(table.counts.max()),
+            "tables_ms": tables_ms,
+        }
+    return row
+
+
+def _timed(work: Callable[[], Any]) -> tuple[Any, float]:
+    start = time.perf_counter()
+    result = work()
+    return result, 1e3 * (time.perf_counter() - start)
+
+
+def _picture(scene: Scene, view: View, tolerance: float, run: Run) -> tuple[Row, tuple[str, ...]]:
+    """Factors of the view, and the figure if there is an OpenGL device."""
+    patches = scene.patches()
+    factors = tessellation_factors(patches, view, tolerance=tolerance, edge_numbers=scene.edge_numbers)
+    inner, edges = (np.minimum(levels, HIGHEST_LEVEL) for levels in (factors.inner, factors.edges))
+    beyond = int(np.sum(factors.inner.max(axis=1) > HIGHEST_LEVEL))
+    row = {"triangles": int(triangle_counts(inner, edges).sum()), "factor_max": float(np.max(factors.factor))}
+    notes = (f"{beyond} patches need levels above {HIGHEST_LEVEL} and are drawn with that",) if beyond else ()
+    try:
+        renderer = Renderer(patches, open_device())
+    except NoOpenGLError as error:
+        return row, (*notes, f"no picture: {error}")
+    seen = renderer.draw(view, inner, edges)
+    renderer.release()
+    shown = seen.patch >= 0
+    if not shown.any():
+        return row, (*notes, "no picture: nothing of the scene is on the screen")
+    error = pixel_error(patches, view, seen.u, seen.v, seen.patch)
+    row["max_error_px"] = float(np.nanmax(error))
+    row["covered_share"] = float(shown.mean())
+    kinds = np.full(len(patches), KINDS.index("bezier")) if scene.kinds is None else scene.kinds
+    painted = np.where(shown, np.append(kinds, 0)[seen.patch], -1)
+    factor = np.where(shown, np.append(np.asarray(factors.factor, float), 0.0)[seen.patch], np.nan)
+    panels = Panels(_outlines(scene, view), painted, KINDS, factor, error)
+    write_inspect_figure(run.file("inspect.png"), panels, _title(scene), tolerance)
+    return row, notes
+
+
+def _title(scene: Scene) -> str:
+    made = f"{len(scene.patches()):,} patches"
+    if scene.conversion is None:
+        return f"{scene.name}: {made}"
+    return f"{scene.name}: {scene.conversion.mesh.face_count:,} faces, {made} by '{scene.conversion.scheme}'"
+
+
+def _outlines(scene: Scene, view: View) -> list[np.ndarray]:
+    """Polygons ``(corners, 2)`` in pixels, the furthest first: faces of the control mesh, or cells of control nets."""
+    if scene.conversion is not None:
+        mesh = scene.conversion.mesh
+        places, corners, sizes = mesh.vertices, mesh.corners, mesh.sizes
+    else:
+        places = scene.patches()
+        count, nu, nv = places.shape[:3]
+        places = places.reshape(-1, places.shape[3])
+        number = np.arange(count * nu * nv).reshape(count, nu, nv)
+        cells = [number[:, :-1, :-1], number[:, 1:, :-1], number[:, 1:, 1:], number[:, :-1, 1:]]
+        corners = np.stack(cells, axis=-1).ravel()
+        sizes = np.full(len(corners) // 4, 4)
+    screen = homogeneous(places) @ np.asarray(view.world_to_screen).T
+    weight = screen[:, 3]
+    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+    depth = np.add.reduceat(weight[corners], starts) / sizes
+    behind = np.minimum.reduceat(weight[corners], starts) <= 0.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        flat = screen[:, :2] / weight[:, None]
+    order = [k for k in np.argsort(-depth) if not behind[k]]
+    return [flat[corners[starts[k] : starts[k] + sizes[k]]] for k in order]
