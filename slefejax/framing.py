@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from slefejax.arguments import Number
 from slefejax.bezier import evaluate_patch
 from slefejax.errors import InputError
-from slefejax.view import Camera, turned_up
+from slefejax.view import Camera, Vector, turned_up
 
 PAPERS_SHARE = 0.38  # of the screen that a model covers in the papers (2012, section 4)
 DIRECTION = (-0.5, 0.75, -0.4)
@@ -22,10 +23,10 @@ _WITHIN = 0.002  # of the screen; a hundredth of what a different model or view 
 
 def frame_share(
     patches: Float[np.ndarray, "patches nu nv dim"],
-    share: float = PAPERS_SHARE,
-    aspect: float = 1.6,
-    up: tuple[float, float, float] = (0.0, 0.0, 1.0),
-    fov_y: float = 45.0,
+    share: Number = PAPERS_SHARE,
+    aspect: Number = 1.6,
+    up: Vector = (0.0, 0.0, 1.0),
+    fov_y: Number = 45.0,
 ) -> Camera:
     """A perspective camera from which the patches cover that share of the picture, or, if that is less, as much as can
     be seen with all of them on the screen.

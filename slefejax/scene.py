@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from slefejax.arguments import Number
 from slefejax.bezier import elevate
 from slefejax.conversion.acc import ALPHA
 from slefejax.conversion.nurbs import bezier_axis, spline_patches
@@ -39,7 +40,7 @@ from slefejax.io.ply import read_ply
 from slefejax.io.rhino import read_3dm
 from slefejax.io.usd import read_usd
 from slefejax.mesh import Mesh
-from slefejax.view import Camera
+from slefejax.view import Camera, Vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,9 +94,7 @@ class Scene:
             raise InputError(f"{self.name} is no control mesh: only those have tangent patches")
         return self.conversion.tangents(self.conversion.mesh.vertices)
 
-    def default_camera(
-        self, aspect: float = 1.6, cover: float | None = None, up: tuple[float, float, float] | None = None
-    ) -> Camera:
+    def default_camera(self, aspect: float = 1.6, cover: Number | None = None, up: Vector | None = None) -> Camera:
         """The scene's own camera, or one that frames it in a picture of that width over height.
 
         cover : the share of the picture that the scene shall cover; .38, as in the papers, where it has no own camera.
@@ -104,15 +103,17 @@ class Scene:
         """
         if self.camera is not None and cover is None and up is None:
             return self.camera
-        return frame_share(self.control, PAPERS_SHARE if cover is None else cover, aspect, up or self.up)
+        return frame_share(
+            self.control, PAPERS_SHARE if cover is None else cover, aspect, self.up if up is None else up
+        )
 
 
 def load(
     path: str | Path,
     scheme: str = "auto",
     *,
-    alpha: float = ALPHA,
-    steps: int | None = None,
+    alpha: Number = ALPHA,
+    steps: Number | None = None,
     group: str | tuple[str, ...] | None = None,
     drop_defects: bool = False,
 ) -> Scene:

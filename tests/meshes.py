@@ -26,7 +26,7 @@ def grid(nu, nv, closed_u=False, closed_v=False, rng=None):
 def disc(valence, rings=2, rng=None, half=False):
     """Quads in ``valence`` sectors around vertex 0; half of the sectors only, so that vertex 0 is at the boundary."""
     numbers = {}
-    places = [np.zeros(3)]
+    places: list[np.ndarray] = [np.zeros(3)]
 
     def vertex(k, i, j):
         if i == 0 and j == 0:
@@ -46,10 +46,8 @@ def disc(valence, rings=2, rng=None, half=False):
         for i in range(rings)
         for j in range(rings)
     ]
-    places = np.array(places)
-    if rng is not None:
-        places = places + rng.normal(size=places.shape)
-    return Mesh.of(places, faces)
+    noise = 0.0 if rng is None else rng.normal(size=(len(places), 3))
+    return Mesh.of(np.array(places) + noise, faces)
 
 
 def triangle_fan(valence, rng=None):

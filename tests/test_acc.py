@@ -78,7 +78,7 @@ def test_neighbours_share_their_boundary_bitwise_and_the_jax_path_agrees(rng, na
 
 
 def bspline_patch(points):
-    """Bézier control points of the uniform bicubic spline with these 4 x 4 control points, from exact basis functions."""
+    """Bézier control points of the uniform bicubic spline with these 4 x 4 control points, from its exact basis."""
     pieces = np.array([[float(c) for c in piece] for piece in reversed(basis_pieces(3))])
     return np.einsum("ai,bj,abk->ijk", pieces, pieces, points)
 
@@ -194,7 +194,7 @@ def test_a_sharp_crease_is_a_boundary_from_both_sides(rng):
     pairs = [np.stack([ring + k, np.roll(ring, -1) + k], axis=1) for k in (0, 3)]
     sharp = creased(mesh, 1.0, pairs=np.concatenate(pairs))
     side = np.isin(mesh.corners.reshape(-1, 4), np.concatenate([ring + k for k in range(4)])).all(axis=1)
-    alone = mesh.keep(side)
+    alone = mesh.keep(np.asarray(side))
     np.testing.assert_allclose(
         acc_patches(sharp).on_host(mesh.vertices)[side], acc_patches(alone).on_host(mesh.vertices), atol=1e-15
     )

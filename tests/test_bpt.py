@@ -78,7 +78,7 @@ def test_bad_files_are_named_with_the_line(tmp_path, text, says):
 def test_files_that_are_not_there_or_unknown(tmp_path):
     with pytest.raises(InputError, match="there is no file"):
         load(tmp_path / "no.bpt")
-    with pytest.raises(InputError, match=r"not read; give a file ending in \.bpt"):
+    with pytest.raises(InputError, match=r"not read; give a file ending in \.obj, .*\.bpt"):
         load(tmp_path / "some.xyz")
     folder = tmp_path / "folder.bpt"
     folder.mkdir()

@@ -12,7 +12,7 @@ from tests.meshes import cube, disc, grid, mixed, triangle_fan
 
 
 def textbook_step(mesh):
-    """Catmull and Clark's rules face by face and edge by edge, smooth and with sharp boundaries; one dictionary each."""
+    """Catmull and Clark's rules face by face and edge by edge, smooth and with sharp boundaries."""
     faces = [mesh.corners[a:b].tolist() for a, b in zip(mesh.offsets[:-1], mesh.offsets[1:], strict=True)]
     p = mesh.vertices
     centre = [p[face].mean(axis=0) for face in faces]

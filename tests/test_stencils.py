@@ -1,12 +1,14 @@
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from slefejax import InputError
-from slefejax.stencils import StencilTable
+from slefejax.stencils import StencilTable, _apply_jit
 
 
 def random_table(rng, rows, columns, widest):
@@ -14,7 +16,8 @@ def random_table(rng, rows, columns, widest):
     for row in range(rows):
         count = int(rng.integers(0, min(columns, widest) + 1))
         entries += [(row, c, rng.normal()) for c in rng.choice(columns, count, replace=False)]
-    return StencilTable.of(*zip(*entries, strict=True), (rows, columns))
+    row, column, weight = zip(*entries, strict=True)
+    return StencilTable.of(row, column, weight, (rows, columns))
 
 
 @pytest.mark.parametrize("widest", [1, 5, 40, 129])
@@ -73,13 +76,13 @@ def test_precision_follows_the_values_and_gradients_are_the_transpose(rng):
 
 
 def test_one_compile_a_table(rng):
-    from slefejax.stencils import _apply_jit
+    apply: Any = _apply_jit
 
     table = random_table(rng, 33, 21, 7)
-    before = _apply_jit._cache_size()
+    before = apply._cache_size()
     for _ in range(4):
         table(rng.normal(size=(21, 3)))
-    assert _apply_jit._cache_size() == before + 1
+    assert apply._cache_size() == before + 1
 
 
 def test_the_wrong_number_of_inputs(rng):

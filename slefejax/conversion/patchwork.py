@@ -45,7 +45,7 @@ class Patchwork:
 
     @cached_property
     def _packed_net(self) -> Int[np.ndarray, "chunks nu nv lanes"]:
-        return layout.pack(self.net.astype(np.int32))
+        return np.asarray(layout.pack(self.net.astype(np.int32)))
 
     def packed(self, control: Any) -> Any:
         """The same by JAX in the layout of the kernels, ``(chunks, du+1, dv+1, dim, lanes)`` (``slefejax.layout``)."""

@@ -97,7 +97,8 @@ def _same_places(patches: np.ndarray) -> list[Pair]:
         for i, j in sorted(KDTree(edges.sum(axis=1)).query_pairs(near * length * 2)):
             for backwards in (False, True):
                 if np.abs(edges[i] - (edges[j][::-1] if backwards else edges[j])).max() <= near:
-                    pairs.append((int(number[i]), int(number[j]), backwards))
+                    one, other = sorted((int(number[i]), int(number[j])))
+                    pairs.append((one, other, backwards))
                     break
     return pairs
 

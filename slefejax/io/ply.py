@@ -65,6 +65,7 @@ def read_ply(path: Path) -> Content:
     if missing or faces is None:
         what = f"property '{missing[0]}' of its vertices" if missing else "list 'vertex_indices' of its faces"
         raise InputError(f"{path} has no {what}")
+    faces = [_whole(path, number, face) for number, face in enumerate(faces)]
     points = np.stack([np.asarray(found["vertex"][axis], np.float64) for axis in "xyz"], axis=1)
     try:
         return Content(mesh=Mesh.of(points, faces))
@@ -101,6 +102,15 @@ def _header(path: Path, data: bytes) -> tuple[list[_Element], str | None, int]:
     if order == "":
         raise InputError(f"{path} does not say its format: ascii, binary_little_endian or binary_big_endian")
     return elements, order, start
+
+
+def _whole(path: Path, number: int, face: Any) -> list[int]:
+    """The vertex numbers of a face."""
+    values = np.asarray(face, np.float64)
+    bad = values[~((np.abs(values) < 2.0**53) & (values == np.floor(values)))]
+    if bad.size:
+        raise InputError(f"{path}: face {number} (counted from 0) names vertex {bad[0]:g}, which is no whole number")
+    return values.astype(np.int64).tolist()
 
 
 def _columns(path: Path, body: Any, element: _Element) -> dict[str, Any]:
@@ -146,13 +156,7 @@ class _Text:
         count = self._take(1, element)[0]
         if not (0 <= count < 1e6 and count == int(count)):
             raise InputError(f"{self._path}: a list of elements '{element.name}' has the length {count:g}")
-        return [_whole(self._path, v, element) for v in self._take(int(count), element)]
-
-
-def _whole(path: Path, value: float, element: _Element) -> int:
-    if not (abs(value) < 1e15 and value == int(value)):
-        raise InputError(f"{path}: {value:g} in a list of elements '{element.name}' is no whole number")
-    return int(value)
+        return self._take(int(count), element)
 
 
 class _Binary:
@@ -177,4 +181,4 @@ class _Binary:
         if p.count is None:
             return self._take(p.kind, 1, element)[0]
         count = int(self._take(p.count, 1, element)[0])
-        return self._take(p.kind, count, element).astype(np.int64).tolist()
+        return self._take(p.kind, count, element)

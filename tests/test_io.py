@@ -1,0 +1,477 @@
+"""Readers other than .bpt: what they understand, and how they say what they do not."""
+
+from __future__ import annotations
+
+import struct
+from contextlib import suppress
+
+import numpy as np
+import pytest
+
+from slefejax import InputError, load
+from slefejax.bezier import evaluate_patch, from_triangle
+from slefejax.io.bv import read_bv
+from slefejax.io.obj import read_obj
+from slefejax.io.ply import read_ply
+from slefejax.scene import read
+from tests.meshes import cube, mixed
+
+
+def write(tmp_path, name, content):
+    path = tmp_path / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+OBJ = """# a square and a triangle
+v 0 0 0
+v 1 0 0 1.0
+v 1 1 0
+v 0 1 0
+vt 0 0
+vn 0 0 1
+o thing
+g first
+usemtl grey
+f 1/1/1 2//1 3/1 4
+v 2 0.5 0
+g second side
+s off
+f -4 -1 -3   # 2 5 3
+"""
+
+
+def polygons(content):
+    assert content.mesh is not None
+    return content.mesh
+
+
+def faces(mesh):
+    return [mesh.corners[a:b].tolist() for a, b in zip(mesh.offsets[:-1], mesh.offsets[1:], strict=True)]
+
+
+def test_obj(tmp_path):
+    content = read_obj(write(tmp_path, "a.obj", OBJ))
+    assert faces(polygons(content)) == [[0, 1, 2, 3], [1, 4, 2]]
+    assert polygons(content).vertices[4].tolist() == [2, 0.5, 0]
+    assert content.notes == ()
+    assert content.up == (0, 1, 0)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda text: text.replace("\n", "\r\n"),
+        lambda text: text.replace("\n", "\r"),
+        lambda text: text.replace("v 1 0 0 1.0", "v 1 \\\n 0 \\\n 0"),
+        lambda text: text.replace(" ", "\t"),
+        lambda text: "\ufeff" + text,
+        lambda text: text.rstrip(),
+        lambda text: text.encode().replace(b"a square", b"a sq\xfcare"),
+        lambda text: text.replace("2 0.5 0", "2 +.5E0 0 .1 .2 .3"),
+    ],
+)
+def test_obj_in_other_clothes(tmp_path, change):
+    mesh = polygons(read_obj(write(tmp_path, "a.obj", change(OBJ))))
+    assert faces(mesh) == [[0, 1, 2, 3], [1, 4, 2]]
+    assert mesh.vertices[[1, 4]].tolist() == [[1, 0, 0], [2, 0.5, 0]]
+
+
+def test_obj_groups(tmp_path):
+    path = write(tmp_path, "a.obj", OBJ)
+    assert faces(polygons(read_obj(path, "first"))) == [[0, 1, 2, 3]]
+    assert faces(polygons(read_obj(path, ("side",)))) == [[1, 4, 2]]
+    assert len(polygons(read_obj(path, "thing")).sizes) == 2
+    assert len(load(path, group="first").patches()) == 1
+    with pytest.raises(InputError, match="no faces in a group 'third': there are first, second, side, thing"):
+        read_obj(path, ("first", "third"))
+    with pytest.raises(InputError, match="group has a meaning for"):
+        read(write(tmp_path, "a.bpt", "1"), "first")
+
+
+def test_obj_tags_and_what_is_left_out(tmp_path):
+    tags = (
+        "t crease 2/1/0 0 1 2.5\nt crease 3/2/0 1 2 3 1 4\nt corner 1/1/0 0 inf\nt interpolateboundary 1/0/0 1\n"
+        "t facevaryinginterpolateboundary 1/0/0 1\nl 1 2\nl 2 3\n"
+    ).replace("inf", "10")
+    content = read_obj(write(tmp_path, "a.obj", OBJ + tags))
+    assert polygons(content).creases.tolist() == [[0, 1], [1, 2], [2, 3]]
+    assert polygons(content).crease_sharpness.tolist() == [2.5, 1, 4]
+    assert polygons(content).points.tolist() == [0]
+    assert content.notes == (
+        "statements that are not read were left out: 2 of 'l', 1 of 't facevaryinginterpolateboundary'",
+    )
+    grouped = read_obj(write(tmp_path, "b.obj", OBJ + tags), "second")
+    assert polygons(grouped).creases.tolist() == [[1, 2]]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "has no faces"),
+        ("v 0 0 0\n", "has no faces"),
+        ("v 0 0\n", "line 1: a vertex needs three coordinates, not 2"),
+        ("v 0 0 x\n", "line 1: a coordinate should be a finite number, not 'x'"),
+        ("v 0 0 nan\n", "line 1: a coordinate should be a finite number"),
+        ("v 0 0 1_0\n", "line 1: a coordinate should be"),
+        ("v 0 0 0\n\nf 1 1\n", "line 3: a face needs at least three vertices, not 2"),
+        ("v 0 0 0\nf 0 1 1\n", "line 2: a face should name vertices by their numbers, from 1 on, not '0'"),
+        ("v 0 0 0\nf 1 -2 1\n", "line 2: vertex -2 is counted back beyond the first of 1"),
+        ("v 0 0 0\nf 1 /1 1\n", "line 2: a face should name"),
+        ("v 0 0 0\nf 1.0 1 1\n", "line 2: a face should name"),
+        ("v 0 0 0\nf 1 2 3\n", "line 2: the face names vertex 3, but there are 1"),
+        ("t crease 2/1/0 0\n", "line 1: a tag 'crease' needs vertices and one sharpness"),
+        ("t crease\n", "line 1: a tag should be"),
+        ("t crease 2/1/0 0 1 -2\n", "line 1: a sharpness must not be negative"),
+        (OBJ + "t crease 2/1/0 0 9 1\n", "a tag names a vertex beyond the 5"),
+        (OBJ + "t crease 2/1/0 0 4 1\n", "crease 0 joins vertices 0 and 4"),
+        (b"v 0 0 0\0", "not a text file"),
+    ],
+)
+def test_bad_obj_files_are_named_with_the_line(tmp_path, text, says):
+    path = write(tmp_path, "a.obj", text)
+    with pytest.raises(InputError, match=says) as raised:
+        load(path)
+    assert str(path) in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_every_cut_of_an_obj_file_is_refused_or_read(tmp_path):
+    """A cut may leave a whole file behind; whatever it leaves, there is an answer in one sentence."""
+    whole = OBJ.encode()
+    for end in range(len(whole)):
+        with suppress(InputError):
+            load(write(tmp_path, "a.obj", whole[:end]), drop_defects=True)
+
+
+BV = """
+Group 0 some name
+1
+4 2
+0 0 0  1 0 0  1 1 0  0 1 0
+3 0 1 2
+3 0 2 3
+Group 1
+5
+1 2
+0 0 0   0 1 0   0 2 0
+1 0 0   1 1 1   1 2 0
+4
+1
+0 0 5   0 1 5
+1 0 5   1 1 5
+3
+2
+0 0 0  1 0 0  2 0 0
+ 0 1 0  1 1 3
+   0 2 0
+8
+1 1
+0 0 0 1   0 2 0 2
+1 0 0 1   .5 .5 0 .5
+9
+1 1
+0 0 0 1 0 0 0 1 0
+0 0 1 0 0 1 0 0 1
+10
+1 1 1 1
+0 0 0  0 1 0
+1 0 0  1 1 0
+0 0 1  0 0 1
+0 0 1  0 0 1
+"""
+
+
+def test_bv(tmp_path):
+    content = read_bv(write(tmp_path, "a.bv", BV))
+    assert faces(polygons(content)) == [[0, 1, 2], [0, 2, 3]]
+    assert [p.shape for p in content.patches] == [(2, 3, 3), (2, 2, 3), (3, 3, 3), (2, 2, 4), (2, 2, 3), (2, 2, 3)]
+    assert content.patches[0][1, 1].tolist() == [1, 1, 1]
+    assert content.notes == ("the normals of 2 patches were left out",)
+    scene = load(write(tmp_path, "a.bv", BV))
+    assert scene.patches().shape == (8, 4, 4, 4)
+    assert any("raised to bi-degree 3 x 3" in note for note in scene.notes)
+    assert any("7 of 8 patches got weights of 1" in note for note in scene.notes)
+    assert scene.faces is not None
+    assert scene.faces.tolist() == [0, 1, 0, 1, 2, 3, 4, 5]
+    assert scene.conversion is None, "there are patches beside those of the mesh"
+
+
+def test_triangular_patches_are_themselves(rng):
+    """Against the triangle's own Bernstein form, at random barycentric coordinates."""
+    from math import factorial
+
+    for degree in range(1, 6):
+        points = rng.normal(size=((degree + 1) * (degree + 2) // 2, 3))
+        patch = from_triangle(points, degree)
+        assert patch.shape == (degree + 1, degree + 1, 3)
+        assert np.all(patch[-1] == patch[-1, 0])
+        u, v = rng.random((2, 7))
+        a, b, c = (1 - u) * v, (1 - u) * (1 - v), u  # of the first, the last of the first row, the top
+        wanted = np.zeros((7, 3))
+        places = iter(points)
+        for k in range(degree + 1):
+            for j in range(degree - k + 1):
+                i = degree - k - j
+                count = factorial(degree) / (factorial(i) * factorial(j) * factorial(k))
+                wanted += (count * a**i * b**j * c**k)[:, None] * next(places)
+        np.testing.assert_allclose(evaluate_patch(patch[..., None], u, v).T, wanted, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "holds no surface"),
+        ("Group", "line 1: the file ends where the number of a group should be"),
+        ("Group 1 name", "line 1: the file ends where the kind of a surface should be"),
+        ("7\n1 1\n", "line 1: '7' is no kind of surface that is read"),
+        ("5\n1 1\n0 0 0 0 0 0\n", "line 3: the file ends where a coordinate of a patch"),
+        ("5\n1 0\n", "line 2: the degree v of a patch should be a whole number from 1 to 64, not '0'"),
+        ("8\n1 1\n0 0 0 1  0 0 0 0\n0 0 0 1  0 0 0 1\n", "a weight of the patch that begins after line 2 is not pos"),
+        ("1\n3 1\n0 0 0 1 0 0 0 1 0\n3 0 1 3\n", "line 4: the number of a vertex .* from 0 to 2, not '3'"),
+        ("1\n3 1\n0 0 0 1 0 0 0 1 0\n2 0 1\n", "line 4: the number of vertices of face 0"),
+        ("1\n3 1\n0 0 0 1 0 0 0 1 inf\n3 0 1 2\n", "line 3: a coordinate of a vertex is not a finite number"),
+    ],
+)
+def test_bad_bv_files_are_named_with_the_line(tmp_path, text, says):
+    path = write(tmp_path, "a.bv", text)
+    with pytest.raises(InputError, match=says) as raised:
+        load(path)
+    assert str(path) in str(raised.value)
+
+
+def ply(mesh, form, extra=False):
+    lines = ["ply", f"format {form} 1.0", "comment made here", f"element vertex {mesh.vertex_count}"]
+    lines += ["property double x", "property double y", "property float z"] + ["property uchar red"] * extra
+    lines += [f"element face {mesh.face_count}"] + ["property list uchar float weights"] * extra
+    lines += ["property list uchar int vertex_indices"] + ["element edge 1", "property int vertex1"] * extra
+    head = "\n".join([*lines, "end_header", ""]).encode()
+    if form == "ascii":
+        rows = [f"{x!r} {y!r} {np.float32(z)!r}{' 7' * extra}" for x, y, z in mesh.vertices.tolist()]
+        rows = [row.replace("np.float32(", "").replace(")", "") for row in rows]
+        rows += [("1 0.5 " * extra) + f"{len(face)} " + " ".join(map(str, face)) for face in faces(mesh)]
+        return head + "\n".join([*rows, *["3"] * extra, ""]).encode()
+    order = "<" if "little" in form else ">"
+    body = b"".join(struct.pack(order + "ddf" + "B" * extra, *p, *[7] * extra) for p in mesh.vertices.tolist())
+    for face in faces(mesh):
+        body += struct.pack(order + "Bf", 1, 0.5) if extra else b""
+        body += struct.pack(order + f"B{len(face)}i", len(face), *face)
+    return head + body + (struct.pack(order + "i", 3) if extra else b"")
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
+@pytest.mark.parametrize("extra", [False, True])
+def test_ply(tmp_path, rng, form, extra):
+    mesh = mixed(rng)
+    found = polygons(read_ply(write(tmp_path, "a.ply", ply(mesh, form, extra))))
+    assert faces(found) == faces(mesh)
+    assert np.array_equal(found.vertices[:, :2], mesh.vertices[:, :2])
+    np.testing.assert_allclose(found.vertices[:, 2], mesh.vertices[:, 2], rtol=1e-7, atol=1e-12)  # written as float32
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian"])
+def test_every_cut_of_a_ply_file_is_refused(tmp_path, form):
+    whole = ply(cube(), form).rstrip(b"\n") if form == "ascii" else ply(cube(), form)
+    for end in range(0, len(whole), 3 if form == "ascii" else 1):
+        if form == "ascii" and end > len(whole) - 3:
+            continue
+        with pytest.raises(InputError):
+            load(write(tmp_path, "a.ply", whole[:end]))
+
+
+def test_other_ply_files_are_refused(tmp_path):
+    text = ply(cube(), "ascii").decode()
+    for old, new, says in (
+        ("format ascii 1.0\n", "", "does not say its format"),
+        ("ascii", "text", "line 2: .* no line of a PLY header"),
+        ("double x", "double a", "no property 'x' of its vertices"),
+        ("vertex_indices", "indices", "no list 'vertex_indices'"),
+        ("element face 6", "element faces 6", "no element 'face'"),
+        ("property double y", "property complex y", "line 6: .* no line of a PLY header"),
+        ("0.0 0.0 1.0", "0.0 0.0 top", "'top' among the elements 'vertex' is not a number"),
+        ("4 0 1 3 2", "4 0 1 3 20", "face 0 .* has a vertex 20"),
+        ("4 0 1 3 2", "4 0 1 3 0.5", "face 0 .* names vertex 0.5, which is no whole number"),
+        ("4 0 1 3 2", "-4 0 1 3 2", "has the length -4"),
+        ("element vertex 8", "element vertex -8", "is negative"),
+    ):
+        assert old in text
+        with pytest.raises(InputError, match=says):
+            read_ply(write(tmp_path, "a.ply", text.replace(old, new, 1)))
+    with pytest.raises(InputError, match="no PLY header"):
+        read_ply(write(tmp_path, "a.ply", "v 0 0 0"))
+
+
+USD = """#usda 1.0
+(
+    upAxis = "Y"
+)
+def Xform "top"
+{
+    double3 xformOp:translate = (10, 0, 0)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+    def Mesh "cube"
+    {
+        int[] faceVertexCounts = [4, 4, 4, 4, 4, 4]
+        int[] faceVertexIndices = [0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3]
+        point3f[] points = [(0,0,0), (0,0,1), (0,1,0), (0,1,1), (1,0,0), (1,0,1), (1,1,0), (1,1,1)]
+        int[] creaseIndices = [0, 1, 3, 4, 5]
+        int[] creaseLengths = [3, 2]
+        float[] creaseSharpnesses = [2, 5]
+        int[] cornerIndices = [7]
+        float[] cornerSharpnesses = [3]
+    }
+}
+def Sphere "ball"
+{
+}
+"""
+
+
+def usd():
+    return pytest.importorskip("pxr", reason="usd-core is not installed")
+
+
+def test_usd_meshes(tmp_path):
+    usd()
+    content = read(write(tmp_path, "a.usda", USD))
+    mesh = polygons(content)
+    assert faces(mesh) == faces(cube())
+    assert np.array_equal(mesh.vertices, cube().vertices + [10, 0, 0])
+    assert mesh.creases.tolist() == [[0, 1], [1, 3], [4, 5]]
+    assert mesh.crease_sharpness.tolist() == [2, 2, 5]
+    assert (mesh.points.tolist(), mesh.point_sharpness.tolist()) == ([7], [3])
+    assert content.up == (0, 1, 0)
+    assert content.notes == ("geometry of other kinds was left out: 1 Sphere",)
+
+
+def test_usd_orientation_holes_and_schemes(tmp_path):
+    usd()
+    odd = USD.replace(
+        "int[] creaseIndices = [0, 1, 3, 4, 5]",
+        'uniform token orientation = "leftHanded"\n uniform token subdivisionScheme = "loop"\n'
+        " int[] holeIndices = [1]\n"
+        ' uniform token interpolateBoundary = "edgeOnly"\n int[] creaseIndices = [0, 1, 3, 4, 5]',
+    )
+    content = read(write(tmp_path, "a.usda", odd))
+    assert faces(polygons(content))[0] == [0, 2, 3, 1]
+    assert polygons(content).face_count == 5
+    said = " ".join(content.notes)
+    assert "1 holes" in said
+    assert "scheme 'loop'" in said
+    assert "boundary rule 'edgeOnly'" in said
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("[4, 4, 4, 4, 4, 4]", "[4, 4, 4, 4, 4, 5]", "lists 24 corners, but its faces have 25"),
+        ("creaseLengths = [3, 2]", "creaseLengths = [3, 3]", "creases of /top/cube do not fit"),
+        ("0, 1, 3, 2, 4, 6", "0, 1, 3, 9, 4, 6", "/top/cube: face 0 .* has a vertex 9"),
+        ("def Mesh", "def Cube", "holds no mesh and no NURBS patch"),
+        ("#usda 1.0", "#usdb 1.0", "no USD file that can be read"),
+        ("upAxis", "upAxis = ", "no USD file that can be read"),
+    ],
+)
+def test_bad_usd_files(tmp_path, old, new, says):
+    usd()
+    with pytest.raises(InputError, match=says):
+        read(write(tmp_path, "a.usda", USD.replace(old, new)))
+
+
+def nurbs_usd(extra=""):
+    points = ", ".join(f"({u}, {v}, {u * v})" for v in range(4) for u in range(3))
+    return f"""#usda 1.0
+def NurbsPatch "patch"
+{{
+    point3f[] points = [{points}]
+    int uVertexCount = 3
+    int vVertexCount = 4
+    int uOrder = 3
+    int vOrder = 2
+    double[] uKnots = [0, 0, 0, 1, 1, 1]
+    double[] vKnots = [0, 0, 1, 2, 3, 3]
+    double2 uRange = (0, 1)
+    double2 vRange = (0, 3)
+    {extra}
+}}
+"""
+
+
+def test_usd_nurbs(tmp_path):
+    usd()
+    scene = load(write(tmp_path, "a.usda", nurbs_usd()))
+    assert scene.patches().shape == (3, 3, 2, 3)
+    assert scene.patches()[1].tolist() == [[[u, v, u * v] for v in (1, 2)] for u in range(3)]
+    weights = ", ".join(["1", "2", "1"] * 4)
+    rational = load(write(tmp_path, "a.usda", nurbs_usd(f"double[] pointWeights = [{weights}]"))).patches()
+    assert rational[0, 1, 1].tolist() == [2, 2, 2, 2]
+    for extra, says in (
+        ("double[] pointWeights = [1, 2]", "2 weights for 12 points"),
+        ("int[] trimCurve:counts = [1]", "trimmed surface, which is not supported"),
+        ("double[] pointWeights = [" + ", ".join(["1", "0", "1"] * 4) + "]", "a weight that is not positive"),
+    ):
+        with pytest.raises(InputError, match=says):
+            load(write(tmp_path, "b.usda", nurbs_usd(extra)))
+    with pytest.raises(InputError, match=r"/patch: the knots .* do not decrease"):
+        load(write(tmp_path, "b.usda", nurbs_usd().replace("[0, 0, 1, 2, 3, 3]", "[0, 0, 2, 1, 3, 3]")))
+
+
+def test_3dm(tmp_path):
+    rhino = pytest.importorskip("rhino3dm", reason="rhino3dm is not installed")
+    model = rhino.File3dm()
+    model.Objects.AddSurface(rhino.NurbsSurface.CreateFromSphere(rhino.Sphere(rhino.Point3d(1, 2, 3), 2.0)))
+    shape = rhino.Mesh()
+    for place in cube().vertices.tolist():
+        shape.Vertices.Add(*place)
+    for face in faces(cube()):
+        shape.Faces.AddFace(*face)
+    model.Objects.AddMesh(shape)
+    model.Objects.AddPoint(rhino.Point3d(0, 0, 0))
+    path = tmp_path / "a.3dm"
+    model.Write(str(path), 8)
+    content = read(path)
+    assert faces(polygons(content)) == faces(cube())
+    assert content.notes == ("objects of other kinds were left out: 1 Point",)
+    scene = load(path)
+    sphere = scene.patches()[6:]
+    assert sphere.shape == (8, 4, 4, 4)
+    for patch in sphere:
+        u, v = np.random.default_rng(1).random((2, 20))
+        point = evaluate_patch(patch[..., None], u, v)
+        np.testing.assert_allclose(np.linalg.norm((point[:3] / point[3]).T - [1, 2, 3], axis=1), 2.0, atol=1e-14)
+    # the meridians are shared, around the sphere as well; the poles are points
+    uses = np.bincount(scene.edge_numbers[6:].ravel())
+    assert np.count_nonzero(uses == 2) == 12
+
+
+def test_trimmed_and_broken_3dm_files(tmp_path):
+    rhino = pytest.importorskip("rhino3dm", reason="rhino3dm is not installed")
+    model = rhino.File3dm()
+    model.Objects.AddBrep(rhino.Brep.CreateFromCylinder(rhino.Cylinder(rhino.Circle(2.0), 3.0), True, True))
+    path = tmp_path / "a.3dm"
+    model.Write(str(path), 8)
+    with pytest.raises(InputError, match=r"object 0 .*, face 1 is trimmed"):
+        load(path)
+    with pytest.raises(InputError, match=r"no \.3dm file that can be read"):
+        load(write(tmp_path, "b.3dm", path.read_bytes()[:200]))
+    rhino.File3dm().Write(str(tmp_path / "c.3dm"), 8)
+    with pytest.raises(InputError, match="holds no surface and no mesh"):
+        load(tmp_path / "c.3dm")
+
+
+@pytest.mark.parametrize("name", ["a.usda", "a.3dm"])
+def test_missing_extras_are_one_sentence(tmp_path, monkeypatch, name):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "pxr", None)
+    monkeypatch.setitem(sys.modules, "rhino3dm", None)
+    with pytest.raises(InputError, match=r"install (usd-core|rhino3dm) \(pip install"):
+        load(write(tmp_path, name, "something"))
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".ply", ".usda", ".3dm", ".bv"])
+def test_files_that_are_not_there(tmp_path, suffix):
+    with pytest.raises(InputError, match="there is no file"):
+        load(tmp_path / f"no{suffix}")
+    with pytest.raises(InputError, match="FBX is not supported"):
+        load(tmp_path / "some.fbx")

@@ -1,0 +1,159 @@
+"""Every control mesh of the folder of models: loads, converts, renders without a crack, keeps the tolerance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slefejax import InputError, View, load, sampled_error, tessellation_factors, triangle_error
+from slefejax.conversion.acc import acc_patches
+from slefejax.conversion.tangents import tangent_tables
+from slefejax.error import pixel_error
+from slefejax.experiments.options import cameras_around
+from slefejax.tessellator import HIGHEST_LEVEL
+
+pytestmark = pytest.mark.gl
+MESHES = [
+    "bigguy",
+    "catmark_bishop",
+    "catmark_car",
+    "catmark_gregory_test2",
+    "catmark_gregory_test8",
+    "catmark_helmet",
+    "catmark_lefthanded",
+    "catmark_nonquads",
+    "catmark_pole64",
+    "catmark_torus",
+    "catmark_xord_boundary",
+    "kenney_character_frame4",
+    "kenney_character_frame9",
+    "monsterfrog",
+    "spot_control_mesh",
+    "suzanne",
+    "makehuman/base",
+]
+SPLINES = ("usd_bendy_nurbs.usda", "rational_torus.bv", "teapot.bpt")
+FLOOR = 0.01  # pixels: what sub-pixel snapping and float32 interpolation put under a rendered error
+
+
+def open_triangle_edges(found, free):
+    """Triangle edges that no other triangle runs along the other way, off the free edges of the surface.
+
+    found : captured triangles; free : ``(patches, 4)``, edges at u=0, v=0, u=1, v=1 that no other patch has
+    """
+    start = found.clip.reshape(-1, 4)
+    end = found.clip[:, [1, 2, 0]].reshape(-1, 4)
+    _, number = np.unique(np.concatenate([start, end]) + np.float32(0), axis=0, return_inverse=True)
+    a, b = number.reshape(2, -1)
+    key = np.minimum(a, b) * (number.max() + 1) + np.maximum(a, b)
+    _, edge = np.unique(key, return_inverse=True)
+    balance = np.bincount(edge.ravel(), np.sign(b - a))
+    u0, u1 = found.parameters.reshape(-1, 2), found.parameters[:, [1, 2, 0]].reshape(-1, 2)
+    patch = np.repeat(found.patch, 3)
+    lies_on = np.zeros(len(patch), bool)
+    for side, (axis, value) in enumerate(((0, 0.0), (1, 0.0), (0, 1.0), (1, 1.0))):
+        lies_on |= (u0[:, axis] == value) & (u1[:, axis] == value) & free[patch, side]
+    return np.flatnonzero((balance[edge.ravel()] != 0) & ~lies_on)
+
+
+def check_view(scene, view, renderer, slow):
+    factors = tessellation_factors(scene.patches(), view, edge_numbers=scene.edge_numbers)
+    assert np.max(factors.inner, initial=1) <= HIGHEST_LEVEL
+    seen = renderer.draw(view, factors.inner, factors.edges)
+    error = pixel_error(scene.patches(), view, seen.u, seen.v, seen.patch)
+    assert np.count_nonzero(np.isfinite(error)) > 100
+    assert np.nanmax(error) <= 0.5 + FLOOR
+    found = renderer.capture(view, factors.inner, factors.edges)
+    uses = np.bincount(scene.edge_numbers.ravel())
+    assert not open_triangle_edges(found, uses[scene.edge_numbers] == 1).size
+    if slow:
+        assert triangle_error(scene.patches(), found, view).max() <= 0.5
+        assert sampled_error(scene.patches(), factors.levels, view).max() <= 0.5
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_meshes_draw_without_a_crack(models, device, name):
+    """Levels of the whole scene; the tessellator's own triangles fit together bit for bit; pixels keep the tolerance."""
+    from slefejax.gpu import Renderer
+
+    if name == "makehuman/base":
+        pytest.skip("18,486 patches: with the slow ones")
+    scene = load(models / f"{name}.obj")
+    renderer = Renderer(scene.patches(), device)
+    check_view(scene, View(scene.default_camera(), 480, 300), renderer, False)
+    renderer.release()
+
+
+def test_cracks_would_be_found(models, device):
+    from slefejax.gpu import Renderer
+
+    scene = load(models / "catmark_torus.obj")
+    renderer = Renderer(scene.patches(), device)
+    view = View(scene.default_camera(), 480, 300)
+    levels = np.full((32, 6), 5)
+    free = np.zeros((32, 4), bool)
+    found = renderer.capture(view, levels[:, :2], levels[:, 2:])
+    assert not open_triangle_edges(found, free).size
+    levels[3, 2:] = 6
+    found = renderer.capture(view, levels[:, :2], levels[:, 2:])
+    assert open_triangle_edges(found, free).size
+    renderer.release()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [*(f"{name}.obj" for name in MESHES), *SPLINES])
+def test_the_certified_factor_holds_on_every_model(models, device, name):
+    """Twenty cameras: pixels, captured triangles, uniform grids over the visible domain, and cracks."""
+    from slefejax.gpu import Renderer
+
+    scene = load(models / name)
+    renderer = Renderer(scene.patches(), device)
+    for view in cameras_around(scene, 1440, 900, 20 if len(scene.patches()) < 5000 else 2, 3):
+        check_view(scene, view, renderer, True)
+    renderer.release()
+
+
+def test_what_is_not_manifold_is_refused_with_its_number(models):
+    path = models / "catmark_nonman_verts.obj"
+    with pytest.raises(InputError, match="at vertex 1 2 fans of faces only touch, which is not manifold, and 3 more"):
+        load(path)
+    scene = load(path, drop_defects=True)
+    assert len(scene.patches()) == 12
+    assert "8 faces were dropped (2, 5, 6, 11, …)" in scene.notes[0]
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_tables_of_real_meshes(models, name):
+    """Affine combinations; narrow classes; as many shared edges as the mesh has inner ones."""
+    scene = load(models / f"{name}.obj")
+    assert scene.conversion is not None
+    table = scene.conversion.patchwork.points
+    np.testing.assert_allclose(table.row_sums(), 1.0, atol=2e-15)
+    assert table.padding < 0.05
+    uses = np.bincount(scene.edge_numbers.ravel())
+    assert np.count_nonzero(uses == 2) == np.count_nonzero(~scene.conversion.finer.boundary)
+    assert scene.faces is not None
+    assert np.array_equal(np.unique(scene.faces), np.arange(scene.conversion.mesh.face_count))
+
+
+def test_normals_agree_on_a_real_mesh(models):
+    """Of tangent patches at 5 places along every inner edge of the frog, valences 3 to 7."""
+    mesh = load(models / "monsterfrog.obj").conversion.mesh  # type: ignore[union-attr]
+    from slefejax.bezier import evaluate_patch
+
+    work = acc_patches(mesh)
+    du, dv = (table.on_host(mesh.vertices) for table in tangent_tables(mesh, work))
+    du, dv = (
+        np.moveaxis(du.reshape(-1, 3, 4, 3), 0, -1)[..., None],
+        np.moveaxis(dv.reshape(-1, 4, 3, 3), 0, -1)[..., None],
+    )
+    t = np.linspace(0, 1, 5)
+    zero, one = 0 * t, 0 * t + 1
+    sides = []
+    for u, v in ((t, zero), (one, t), (1 - t, one), (zero, 1 - t)):
+        a, b = (np.moveaxis(evaluate_patch(field, u, v), 0, -1) for field in (du, dv))
+        normal = np.cross(a, b)
+        sides.append(normal / np.linalg.norm(normal, axis=-1, keepdims=True))
+    normals = np.stack(sides, axis=1).reshape(-1, 5, 3)  # one row a half-edge
+    difference = np.abs(normals - normals[mesh.twin][:, ::-1])
+    assert difference.max() < 1e-9  # the shortest tangents are 1e-3 of the longest
