@@ -8,29 +8,17 @@ import pytest
 from slefejax import InputError, View, load, sampled_error, tessellation_factors, triangle_error
 from slefejax.conversion.acc import acc_patches
 from slefejax.conversion.tangents import tangent_tables
+from slefejax.edges import edge_maxima
 from slefejax.error import pixel_error
 from slefejax.experiments.options import cameras_around
 from slefejax.tessellator import HIGHEST_LEVEL
 
 pytestmark = pytest.mark.gl
 MESHES = [
-    "bigguy",
-    "catmark_bishop",
-    "catmark_car",
-    "catmark_gregory_test2",
-    "catmark_gregory_test8",
-    "catmark_helmet",
-    "catmark_lefthanded",
-    "catmark_nonquads",
-    "catmark_pole64",
-    "catmark_torus",
-    "catmark_xord_boundary",
-    "kenney_character_frame4",
-    "kenney_character_frame9",
-    "monsterfrog",
-    "spot_control_mesh",
-    "suzanne",
-    "makehuman/base",
+    *(f"catmark_{name}" for name in ("bishop", "car", "gregory_test2", "gregory_test8", "helmet", "lefthanded")),
+    *(f"catmark_{name}" for name in ("nonquads", "pole64", "torus", "xord_boundary")),
+    *("kenney_character_frame4", "kenney_character_frame9"),
+    *("bigguy", "monsterfrog", "spot_control_mesh", "suzanne", "makehuman/base"),
 ]
 SPLINES = ("usd_bendy_nurbs.usda", "rational_torus.bv", "teapot.bpt")
 FLOOR = 0.01  # pixels: what sub-pixel snapping and float32 interpolation put under a rendered error
@@ -56,32 +44,45 @@ def open_triangle_edges(found, free):
     return np.flatnonzero((balance[edge.ravel()] != 0) & ~lies_on)
 
 
-def check_view(scene, view, renderer, slow):
+def free_edges(scene):
+    return np.bincount(scene.edge_numbers.ravel())[scene.edge_numbers] == 1
+
+
+def check_view(scene, view, renderer):
     factors = tessellation_factors(scene.patches(), view, edge_numbers=scene.edge_numbers)
-    assert np.max(factors.inner, initial=1) <= HIGHEST_LEVEL
-    seen = renderer.draw(view, factors.inner, factors.edges)
+    inner, edges = factors.inner, factors.edges
+    assert np.max(inner, initial=1) <= HIGHEST_LEVEL
+    seen = renderer.draw(view, inner, edges)
     error = pixel_error(scene.patches(), view, seen.u, seen.v, seen.patch)
     assert np.count_nonzero(np.isfinite(error)) > 100
     assert np.nanmax(error) <= 0.5 + FLOOR
-    found = renderer.capture(view, factors.inner, factors.edges)
-    uses = np.bincount(scene.edge_numbers.ravel())
-    assert not open_triangle_edges(found, uses[scene.edge_numbers] == 1).size
-    if slow:
-        assert triangle_error(scene.patches(), found, view).max() <= 0.5
-        assert sampled_error(scene.patches(), factors.levels, view).max() <= 0.5
+    found = renderer.capture(view, inner, edges)
+    if np.all(np.asarray(factors.factor) > 0):  # else the surface ends where patches are left out
+        assert not open_triangle_edges(found, free_edges(scene)).size
+    assert triangle_error(scene.patches(), found, view).max() <= 0.5
+    assert sampled_error(scene.patches(), factors.levels, view).max() <= 0.5
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_meshes_draw_without_a_crack(models, device, name):
-    """Levels of the whole scene; the tessellator's own triangles fit together bit for bit; pixels keep the tolerance."""
+def test_meshes_draw_without_a_crack(models, device, name, rng):
+    """Neighbours cut differently, edges at the larger level: the tessellator's triangles fit together bit for bit."""
     from slefejax.gpu import Renderer
 
-    if name == "makehuman/base":
-        pytest.skip("18,486 patches: with the slow ones")
     scene = load(models / f"{name}.obj")
+    numbers = rng.integers(1, 10 if len(scene.patches()) < 5000 else 4, len(scene.patches()))
     renderer = Renderer(scene.patches(), device)
-    check_view(scene, View(scene.default_camera(), 480, 300), renderer, False)
+    view = View(scene.default_camera(), 480, 300)
+    found = renderer.capture(view, np.repeat(numbers[:, None], 2, axis=1), edge_maxima(numbers, scene.edge_numbers))
+    assert not open_triangle_edges(found, free_edges(scene)).size
     renderer.release()
+
+
+def test_the_certified_factor_holds_on_a_mesh(models, device):
+    """One view of one mesh with triangles and boundaries; all of them are among the slow tests."""
+    from slefejax.gpu import Renderer
+
+    scene = load(models / "suzanne.obj")
+    check_view(scene, View(scene.default_camera(), 480, 300), Renderer(scene.patches(), device))
 
 
 def test_cracks_would_be_found(models, device):
@@ -109,7 +110,7 @@ def test_the_certified_factor_holds_on_every_model(models, device, name):
     scene = load(models / name)
     renderer = Renderer(scene.patches(), device)
     for view in cameras_around(scene, 1440, 900, 20 if len(scene.patches()) < 5000 else 2, 3):
-        check_view(scene, view, renderer, True)
+        check_view(scene, view, renderer)
     renderer.release()
 
 
@@ -129,7 +130,7 @@ def test_tables_of_real_meshes(models, name):
     assert scene.conversion is not None
     table = scene.conversion.patchwork.points
     np.testing.assert_allclose(table.row_sums(), 1.0, atol=2e-15)
-    assert table.padding < 0.05
+    assert table.padding < 0.15  # the smallest mesh has 9 vertices and 15 sizes of rows
     uses = np.bincount(scene.edge_numbers.ravel())
     assert np.count_nonzero(uses == 2) == np.count_nonzero(~scene.conversion.finer.boundary)
     assert scene.faces is not None

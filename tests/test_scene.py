@@ -85,7 +85,7 @@ def test_what_a_scene_leaves_out(tmp_path):
 
 
 def covered(scene, view):
-    """The share of the picture that dense samples of the surface fall into, and whether all of them are inside of it."""
+    """The share of the picture that dense samples of the surface fall into, and whether all of them are in it."""
     from slefejax.bezier import evaluate_patch
 
     t = np.linspace(0, 1, 90)
