@@ -21,6 +21,9 @@ MESHES = [
     *("bigguy", "monsterfrog", "spot_control_mesh", "suzanne", "makehuman/base"),
 ]
 SPLINES = ("usd_bendy_nurbs.usda", "rational_torus.bv", "teapot.bpt")
+# Square pixels: of a triangle seen edge on that software OpenGL, which snaps corners to 1/256 of a pixel and interpolates
+# in float32, may draw with parameters from outside of it; its true error is that of the captured triangle.
+SLIVER = 0.1
 FLOOR = 0.01  # pixels: what sub-pixel snapping and float32 interpolation put under a rendered error
 
 
@@ -44,6 +47,16 @@ def open_triangle_edges(found, free):
     return np.flatnonzero((balance[edge.ravel()] != 0) & ~lies_on)
 
 
+def smallest_area(found, patch, pixel, view):
+    """Square pixels: the smallest triangle of a patch whose box reaches to within a pixel of a place."""
+    clip = found.clip[found.patch == patch].astype(float)
+    corners = (clip[..., :2] / clip[..., 3:] + 1.0) / 2.0 * [view.width, view.height]
+    near = np.all((corners.min(axis=1) < np.add(pixel, 1)) & (corners.max(axis=1) > np.subtract(pixel, 1)), axis=1)
+    a, b, c = np.moveaxis(corners[near], 1, 0)
+    first, second = b - a, c - a
+    return np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).min(initial=np.inf) / 2
+
+
 def free_edges(scene):
     return np.bincount(scene.edge_numbers.ravel())[scene.edge_numbers] == 1
 
@@ -53,10 +66,13 @@ def check_view(scene, view, renderer):
     inner, edges = factors.inner, factors.edges
     assert np.max(inner, initial=1) <= HIGHEST_LEVEL
     seen = renderer.draw(view, inner, edges)
+    found = renderer.capture(view, inner, edges)
     error = pixel_error(scene.patches(), view, seen.u, seen.v, seen.patch)
     assert np.count_nonzero(np.isfinite(error)) > 100
-    assert np.nanmax(error) <= 0.5 + FLOOR
-    found = renderer.capture(view, inner, edges)
+    bad = np.argwhere(np.nan_to_num(error) > 0.5 + FLOOR)
+    assert len(bad) < 10
+    for row, column in bad:
+        assert smallest_area(found, seen.patch[row, column], (column + 0.5, row + 0.5), view) < SLIVER
     if np.all(np.asarray(factors.factor) > 0):  # else the surface ends where patches are left out
         assert not open_triangle_edges(found, free_edges(scene)).size
     assert triangle_error(scene.patches(), found, view).max() <= 0.5
