@@ -7,8 +7,10 @@
 """
 
 from slefejax.bspline import bspline_slefe, bspline_slefe_boxes
+from slefejax.conversion.scheme import Conversion, convert
 from slefejax.errors import InputError, NoOpenGLError
 from slefejax.factors import Factors, tessellation_factors
+from slefejax.mesh import Mesh
 from slefejax.minimal import minimal_factors, minimal_pairs
 from slefejax.scene import Scene, load
 from slefejax.slefe import Slefe, SlefeTable, slefe, slefe_boxes, slefe_table
@@ -19,8 +21,10 @@ from slefejax.view import Camera, View
 
 __all__ = [
     "Camera",
+    "Conversion",
     "Factors",
     "InputError",
+    "Mesh",
     "NoOpenGLError",
     "Scene",
     "Slefe",
@@ -28,6 +32,7 @@ __all__ = [
     "View",
     "bspline_slefe",
     "bspline_slefe_boxes",
+    "convert",
     "load",
     "minimal_factors",
     "minimal_pairs",

@@ -21,8 +21,8 @@ MESHES = [
     *("bigguy", "monsterfrog", "spot_control_mesh", "suzanne", "makehuman/base"),
 ]
 SPLINES = ("usd_bendy_nurbs.usda", "rational_torus.bv", "teapot.bpt")
-# Square pixels: of a triangle seen edge on that software OpenGL, which snaps corners to 1/256 of a pixel and interpolates
-# in float32, may draw with parameters from outside of it; its true error is that of the captured triangle.
+# Square pixels: of a triangle seen edge on that software OpenGL, which snaps corners to 1/256 of a pixel and
+# interpolates in float32, may draw with parameters from outside of it; its true error is that of the captured one.
 SLIVER = 0.1
 FLOOR = 0.01  # pixels: what sub-pixel snapping and float32 interpolation put under a rendered error
 

@@ -1,0 +1,140 @@
+"""slefejax inspect, and the options of all commands that say how a file becomes a scene."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from slefejax import NoOpenGLError
+from slefejax.experiments import inspect as inspecting
+from slefejax.experiments.cli import main
+from tests.test_io import BV, OBJ, write
+from tests.test_scene import CUBE
+
+SMALL = ["--size", "180x120"]
+
+
+@pytest.fixture(autouse=True)
+def in_an_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def run_json(capsys, *arguments):
+    assert main([*arguments, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.gl
+def test_inspect_counts_and_draws(device, capsys, tmp_path):
+    write(tmp_path, "box.obj", CUBE + "v 7 7 7\nt crease 2/1/0 0 1 3\n")
+    result = run_json(capsys, "inspect", "box.obj", *SMALL)
+    (row,) = result["rows"]
+    wanted = {
+        **{
+            "vertices": 9,
+            "isolated_vertices": 1,
+            "faces": 6,
+            "triangles_of_the_mesh": 0,
+            "quads": 6,
+            "larger_faces": 0,
+        },
+        **{
+            "pieces": 1,
+            "boundary_edges": 0,
+            "valences": "8 of 3",
+            "creases": "1, sharpness up to 3",
+            "defects": "none",
+        },
+        **{"patches": 6, "bi_degree": "3 x 3", "common_edges": 12, "free_edges": 0, "scheme": "acc"},
+        **{"table_rows": 9 + 24 + 24, "coincident_vertices": 0, "kinds": "2 extraordinary, 4 crease"},
+    }
+    assert {name: row[name] for name in wanted} == wanted
+    assert row["table_weights"] * 12 / 1024 <= row["table_kilobytes"] + 1
+    assert row["max_error_px"] <= 0.51
+    said = " ".join(result["notes"])
+    assert "1 vertices belong to no face (the first is 8" in said
+    assert "1 creases of sharpness up to 3 are drawn infinitely sharp" in said
+    assert "not needed: triangle stencils" in said
+    assert sorted(os.listdir(result["out"])) == ["inspect.png", "run.json", "table.csv"]
+    picture = imread(f"{result['out']}/inspect.png")
+    assert len(np.unique(picture.reshape(-1, picture.shape[2]), axis=0)) > 50
+
+
+@pytest.mark.gl
+def test_inspect_of_patches_and_of_the_teapot(device, capsys, tmp_path):
+    write(tmp_path, "a.bv", BV)
+    row = run_json(capsys, "inspect", "a.bv", *SMALL)["rows"][0]
+    assert row["bi_degree"] == "3 x 3, rational"
+    assert row["kinds"] == "2 triangle, 6 bezier"
+    assert row["faces"] == 2
+    row = run_json(capsys, "inspect", "teapot", *SMALL)["rows"][0]
+    assert (row["patches"], row["common_edges"], row["free_edges"], row["edges_of_no_length"]) == (32, 52, 16, 8)
+
+
+def test_inspect_says_why_a_mesh_makes_no_scene(capsys, tmp_path):
+    write(tmp_path, "bad.obj", OBJ + "f 1 1 2\n")
+    result = run_json(capsys, "inspect", "bad.obj")
+    assert result["rows"][0]["defects"] == "face 2 names vertex 0 twice"
+    assert "this makes no scene: bad.obj: face 2 names vertex 0 twice" in result["notes"][-1]
+    assert "patches" not in result["rows"][0]
+    assert sorted(os.listdir(result["out"])) == ["run.json", "table.csv"]
+
+
+def test_inspect_without_opengl(capsys, tmp_path, monkeypatch):
+    def none():
+        raise NoOpenGLError("no device here")
+
+    monkeypatch.setattr(inspecting, "open_device", none)
+    write(tmp_path, "box.obj", CUBE)
+    result = run_json(capsys, "inspect", "box.obj", *SMALL)
+    assert "no picture: no device here" in result["notes"]
+    assert result["rows"][0]["patches"] == 6
+    assert "inspect.png" not in os.listdir(result["out"])
+
+
+def test_every_command_takes_meshes_and_their_options(capsys, tmp_path):
+    write(tmp_path, "a.obj", OBJ)
+    assert len(run_json(capsys, "factors", "a.obj", *SMALL, "--method", "fixed")["rows"]) == 2
+    subdivided = ("--scheme", "catmull-clark+acc", "--steps", "2")
+    assert len(run_json(capsys, "factors", "a.obj", *SMALL, "--method", "fixed", *subdivided)["rows"]) == 28
+    assert len(run_json(capsys, "factors", "a.obj", *SMALL, "--method", "fixed", "--group", "side")["rows"]) == 1
+    write(tmp_path, "bad.obj", OBJ + "f 1 1 2\n")
+    result = run_json(capsys, "factors", "bad.obj", *SMALL, "--method", "fixed", "--drop-defects")
+    assert len(result["rows"]) == 2
+    assert "1 faces were dropped (2)" in result["notes"][0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["teapot", "--scheme", "acc"], "scheme has no meaning"),
+        (["a.obj", "--scheme", "loop"], "no scheme 'loop'"),
+        (["a.obj", "--scheme", "acc"], "takes quads only, and face 1"),
+        (["a.obj", "--alpha", "-1"], "alpha must be a positive number"),
+        (["a.obj", "--steps", "2"], "steps belong to the scheme"),
+        (["a.obj", "--group", "none"], "no faces in a group 'none'"),
+        (["a.obj", "--cover", "2"], "share of the screen"),
+        (["a.obj", "--up", "0", "0", "0"], "up must be a direction"),
+        (["b.obj"], "there is no file b.obj"),
+    ],
+)
+def test_bad_options_are_one_sentence(capsys, tmp_path, arguments, says):
+    write(tmp_path, "a.obj", OBJ)
+    assert main(["factors", *arguments]) == 2
+    shown = capsys.readouterr()
+    assert says in shown.err
+    assert shown.err.count("\n") == 1
+    assert not os.path.exists("runs")
+
+
+@pytest.mark.gl
+def test_cover_frames_anew(device, capsys, tmp_path):
+    shares = []
+    for cover in ("0.1", "0.3"):
+        result = run_json(capsys, "minimality", "teapot", *SMALL, "--scales", "1", "--cover", cover)
+        shares.append(result["rows"][0]["covered_pixels"] / (180 * 120))
+    assert shares == pytest.approx([0.1, 0.3], abs=0.02)
