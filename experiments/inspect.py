@@ -49,7 +49,7 @@ class Inspect:
         try:
             scene = self.loading.load(self.scene)
         except InputError as error:
-            if content is None or content.mesh is None:
+            if content is None or content.mesh is None or self.loading.drop_defects or not find_defects(content.mesh):
                 raise
             return self._refused(content, row, str(error))
         row |= patch_row(scene)

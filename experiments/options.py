@@ -56,6 +56,8 @@ class ViewOptions:
     def _framed(self, scene: Scene, aspect: float) -> Camera:
         """The scene's own camera, or one that frames it with what is asked for up if the eye is not given."""
         if self.eye is not None:
+            if self.cover is not None:
+                raise InputError("--cover frames the scene and --eye places the camera: give one of them")
             return scene.default_camera(aspect)
         return scene.default_camera(aspect, self.cover, self.up)
 

@@ -57,7 +57,7 @@ def without_defects(mesh: Mesh) -> tuple[Mesh, tuple[str, ...]]:
 
     Raises InputError if nothing is left.
     """
-    notes = []
+    notes, creases = [], len(mesh.creases)
     while defects := find_defects(mesh):
         drop = np.any([defect.faces for defect in defects], axis=0)
         if drop.all():
@@ -66,6 +66,8 @@ def without_defects(mesh: Mesh) -> tuple[Mesh, tuple[str, ...]]:
         said = "; ".join(defect.what for defect in defects)
         notes.append(f"{said}: {len(numbers)} faces were dropped ({_some(numbers)})")
         mesh = mesh.keep(~drop)
+    if len(mesh.creases) < creases:
+        notes.append(f"{creases - len(mesh.creases)} creases are no edges any more and were left out")
     return mesh, tuple(notes)
 
 
@@ -93,12 +95,12 @@ def _degenerate(mesh: Mesh) -> Defect | None:
 
 
 def _duplicates(mesh: Mesh) -> Defect | None:
-    longest = int(mesh.sizes.max())
-    rows = np.full((mesh.face_count, longest), -1)
-    rows[mesh.face, np.arange(len(mesh.corners)) - mesh.offsets[mesh.face]] = mesh.corners
-    rows.sort(axis=1)
-    _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-    earlier = first[inverse.ravel()]
+    earlier = np.arange(mesh.face_count)
+    for size in np.unique(mesh.sizes):  # one table a size: a few large faces do not make all rows as wide
+        own = np.flatnonzero(mesh.sizes == size)
+        rows = np.sort(mesh.corners[mesh.offsets[own][:, None] + np.arange(size)], axis=1)
+        _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+        earlier[own] = own[first[inverse.ravel()]]
     faces = earlier != np.arange(mesh.face_count)
     if not faces.any():
         return None

@@ -33,10 +33,12 @@ def frame_share(
 
     aspect : of the picture, width over height;  up : any direction
 
-    Raises InputError for a share outside 0 ... 1, or no direction that is up.
+    Raises InputError for a share outside 0 ... 1, or no direction that is up, or no picture.
     """
     if not 0.0 < share <= 1.0:
         raise InputError(f"the share of the screen that is covered must lie between 0 and 1, not {share}")
+    if not (0.0 < aspect < np.inf and 0.0 < fov_y < 180.0):
+        raise InputError(f"a picture needs a positive width over height and a field of view, not {aspect} and {fov_y}")
     if not (np.isfinite(up).all() and np.linalg.norm(up) > 0):
         raise InputError(f"up must be a direction, not {tuple(up)}")
     quads = _quads(patches)

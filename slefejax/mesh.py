@@ -82,14 +82,21 @@ class Mesh:
         """
         lists = [list(face) for face in faces]
         sizes = np.array([len(face) for face in lists], np.int64)
-        corners = np.array([v for face in lists for v in face], np.int64)
+        corners = [v for face in lists for v in face]
+        if not all(isinstance(v, (int, np.integer)) for v in corners):
+            raise InputError("faces must name vertices by whole numbers, from 0 on")
         return Mesh.packed(vertices, corners, sizes)
 
     @staticmethod
-    def packed(vertices: Any, corners: Any, sizes: Any, **rest: Any) -> Mesh:
-        """The same from all corners in one array and the number of corners of every face; checked likewise."""
+    def packed(vertices: Any, corners: Any, sizes: Any, numbers: Any = None, **sharp: Any) -> Mesh:
+        """The same from all corners in one array and the number of corners of every face; checked likewise.
+
+        numbers : of the faces in their file, if those are not 0, 1, 2 …
+        sharp   : ``creases``, ``crease_sharpness``, ``points``, ``point_sharpness``
+        """
         vertices, corners = np.asarray(vertices, np.float64), np.asarray(corners, np.int64)
         sizes = np.asarray(sizes, np.int64)
+        numbers = np.arange(len(sizes)) if numbers is None else np.asarray(numbers, np.int64)
         if vertices.ndim != 2 or vertices.shape[1] != 3:
             raise InputError(f"vertices must be an array (vertices, 3), not {vertices.shape}")
         if len(sizes) == 0:
@@ -99,15 +106,21 @@ class Mesh:
             raise InputError(f"vertex {bad[0]} (counted from 0) is not at a finite place: {vertices[bad[0]].tolist()}")
         few = np.flatnonzero(sizes < 3)
         if few.size:
-            raise InputError(f"face {few[0]} (counted from 0) has {sizes[few[0]]} vertices: a face needs three")
+            raise InputError(f"face {numbers[few[0]]} (counted from 0) has {sizes[few[0]]} vertices: it needs three")
         offsets = np.concatenate([[0], np.cumsum(sizes)])
         wrong = np.flatnonzero((corners < 0) | (corners >= len(vertices)))
         if wrong.size:
             face = int(np.searchsorted(offsets, wrong[0], side="right")) - 1
             raise InputError(
-                f"face {face} (counted from 0) has a vertex {corners[wrong[0]]}, but there are {len(vertices)}"
+                f"face {numbers[face]} (counted from 0) has a vertex {corners[wrong[0]]}, but there are {len(vertices)}"
             )
-        return Mesh(vertices, corners, offsets, np.arange(len(sizes)), **rest)
+        for name, at, sharpness in (
+            ("crease", "creases", "crease_sharpness"),
+            ("sharp vertex", "points", "point_sharpness"),
+        ):
+            if at in sharp or sharpness in sharp:
+                _check_sharp(name, np.asarray(sharp[at]), np.asarray(sharp[sharpness]), len(vertices))
+        return Mesh(vertices, corners, offsets, numbers, **sharp)
 
     @property
     def face_count(self) -> int:
@@ -263,6 +276,23 @@ class Mesh:
         smaller = replace(self, corners=corners, offsets=offsets, numbers=self.numbers[faces])
         held = np.isin(self._pair_keys(self.creases), smaller._edge_numbering[0])
         return replace(smaller, creases=self.creases[held], crease_sharpness=self.crease_sharpness[held])
+
+
+def _check_sharp(name: str, at: np.ndarray, sharpness: np.ndarray, count: int) -> None:
+    """Raise InputError for creases or sharp vertices that name no vertex, or whose sharpness is none."""
+    if len(at) != len(sharpness):
+        raise InputError(f"every {name} needs a sharpness: there are {len(at)} and {len(sharpness)}")
+    pairs = at if at.ndim == 2 else at[:, None]
+    bad = np.flatnonzero(np.any((pairs < 0) | (pairs >= count), axis=1))
+    if bad.size:
+        named = pairs[bad[0]]
+        vertex = named[(named < 0) | (named >= count)][0]
+        raise InputError(f"{name} {bad[0]} (counted from 0) names vertex {vertex}, but there are {count}")
+    bad = np.flatnonzero(~(sharpness >= 0))
+    if bad.size:
+        raise InputError(
+            f"{name} {bad[0]} (counted from 0) has the sharpness {sharpness[bad[0]]:g}: it must not be negative"
+        )
 
 
 def _ordered(turn: np.ndarray, vertex: np.ndarray) -> Fans:

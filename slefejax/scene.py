@@ -114,8 +114,8 @@ def load(
     *,
     alpha: Number = ALPHA,
     steps: Number | None = None,
-    group: str | tuple[str, ...] | None = None,
-    drop_defects: bool = False,
+    group: Any = None,
+    drop_defects: Any = False,
 ) -> Scene:
     """A scene from a file (.obj, .ply, .usd…, .3dm, .bpt, .bv) or by its built-in name (``"teapot"``,
     ``"twisted-quad"``, ``"steep-patch"``).
@@ -128,14 +128,18 @@ def load(
     polynomial ones beside rational ones get weights of 1, which leaves their shape as it is. What was changed or left
     out stands in the scene's notes.
 
-    Raises InputError for a file that is missing, of an unknown kind, or not what its name says; for options that it
-    has no use for; for a control mesh that is not manifold or that the scheme cannot do with, with the number of
-    the face or vertex; for trimmed surfaces.
+    Raises InputError for a file that is missing, of an unknown kind, or not what its name says; for options that have
+    no meaning for a file of its kind; for a control mesh that is not manifold or that the scheme cannot do with, with
+    the number of the face or vertex; for trimmed surfaces.
 
     >>> load("teapot").patches().shape
     (32, 4, 4, 3)
     """
-    options = {"alpha": alpha != ALPHA, "steps": steps is not None, "drop_defects": drop_defects}
+    options = {
+        "alpha": alpha is not ALPHA and not np.array_equal(alpha, ALPHA),
+        "steps": steps is not None,
+        "drop_defects": drop_defects,
+    }
     asked = [name for name, given in {"scheme": scheme != "auto", **options}.items() if given]
     if str(path) in BUILT_IN:
         if asked or group is not None:
@@ -143,16 +147,18 @@ def load(
                 f"{path} is a list of patches, no control mesh: {(*asked, 'group')[0]} has no meaning for it"
             )
         return BUILT_IN[str(path)]()
-    if not isinstance(path, (str, Path)):
+    if not isinstance(path, (str, Path)) or not str(path):
         raise InputError(f"a file name or a built-in scene is needed, not {path!r}")
+    if not isinstance(drop_defects, (bool, np.bool_)):
+        raise InputError(f"drop_defects must be True or False, not {drop_defects!r}")
     path = Path(path)
     content = read(path, group)
     if content.mesh is None and asked:
         raise InputError(f"{path} holds no control mesh: {asked[0]} has no meaning for it")
-    return _scene(path, content, scheme, alpha, steps, drop_defects)
+    return _scene(path, content, scheme, alpha, steps, bool(drop_defects))
 
 
-def read(path: Path, group: str | tuple[str, ...] | None = None) -> Content:
+def read(path: Path, group: Any = None) -> Content:
     """What a file holds, before anything is made of it. Raises InputError as ``load`` does."""
     reader = READERS.get(path.suffix.lower())
     if path.suffix.lower() == ".fbx":
@@ -219,6 +225,8 @@ def _converted(
 
 
 def _spline_part(spline: Spline, number: int) -> _Part:
+    if not np.isfinite(spline.control).all():
+        raise InputError(f"{spline.name} has control points or weights that are not finite numbers")
     if spline.control.shape[2] == 4 and not np.all(spline.control[..., 3] > 0):
         raise InputError(f"{spline.name} has a weight that is not positive")
     try:

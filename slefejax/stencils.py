@@ -107,7 +107,13 @@ class StencilTable:
         """
         values = values if isinstance(values, (jax.Array, Tracer)) else np.asarray(values)
         self._check(values)
-        return _apply_jit(values, self.groups, self.order)
+        if isinstance(values, Tracer):
+            return _apply_jit(values, self.groups, self.order)
+        return _apply_jit(values, *self._on_device[jax.config.read("jax_enable_x64")])
+
+    @cached_property
+    def _on_device(self) -> _Copies:
+        return _Copies((self.groups, self.order))
 
     def _check(self, values: Any) -> None:
         if values.ndim == 0 or values.shape[0] != self.columns:
@@ -119,8 +125,8 @@ class StencilTable:
         return np.diff(self.matrix.indptr)
 
     @cached_property
-    def _by_class(self) -> list[tuple[int, np.ndarray]]:
-        """(width, rows) of every class, and the rows in it."""
+    def classes(self) -> list[tuple[int, np.ndarray]]:
+        """(width, rows) of every class: how wide its rows are padded, and their numbers."""
         ladder: list[int] = list(WIDTHS)
         while ladder[-1] < self.counts.max(initial=0):
             ladder.append(int(np.ceil(ladder[-1] * _GROWTH)))
@@ -134,7 +140,7 @@ class StencilTable:
     def groups(self) -> tuple[tuple[Int[np.ndarray, "width rows"], Float[np.ndarray, "width rows"]], ...]:
         """Indices and weights of the rows of each class; what is missing in a row has weight 0 and its first index."""
         groups = []
-        for width, rows in self._by_class:
+        for width, rows in self.classes:
             slots = np.arange(width)[:, None]
             there = slots < self.counts[rows]
             at = self.matrix.indptr[rows] + np.where(there, slots, 0)
@@ -149,7 +155,7 @@ class StencilTable:
     def order(self) -> Int[np.ndarray, "rows"]:
         """Where each output stands among the rows of all classes, one class after the other."""
         place = np.empty(self.rows, np.int32)
-        place[np.concatenate([rows for _, rows in self._by_class])] = np.arange(self.rows, dtype=np.int32)
+        place[np.concatenate([rows for _, rows in self.classes])] = np.arange(self.rows, dtype=np.int32)
         return place
 
     @property
@@ -164,6 +170,18 @@ class StencilTable:
         return 1.0 - self.matrix.nnz / slots if slots else 0.0
 
 
+class _Copies(dict):
+    """Arrays where JAX computes, copied when they are first asked for: once with float64, once without."""
+
+    def __init__(self, arrays: Any) -> None:
+        super().__init__()
+        self._arrays = arrays
+
+    def __missing__(self, double: bool) -> Any:
+        self[double] = jax.device_put(self._arrays)
+        return self[double]
+
+
 def _clean(matrix: Any) -> StencilTable:
     matrix = csr_array(matrix)
     matrix.eliminate_zeros()
@@ -173,20 +191,19 @@ def _clean(matrix: Any) -> StencilTable:
 
 @jax.jit
 def _apply_jit(values: Any, groups: Any, order: Any) -> Any:
-    """Gather, weight, sum: each number of an input by itself, which runs faster than gathers of rows."""
-    flat = values.reshape(values.shape[0], -1)
+    """Gather, weight, sum, with the inputs along the last axis, where gathers of single numbers run fastest."""
+    flat = values.reshape(values.shape[0], -1).T
     if not jnp.issubdtype(flat.dtype, jnp.floating):
         flat = flat.astype(jax.dtypes.canonicalize_dtype(np.float64))
-    columns = [flat[:, k] for k in range(flat.shape[1])]
-    sums = [jnp.concatenate([_weighted(column, *group) for group in groups])[order] for column in columns]
-    return jnp.stack(sums, axis=1).reshape(len(order), *values.shape[1:])
+    sums = jnp.concatenate([_weighted(flat, *group) for group in groups], axis=1)[:, order]
+    return sums.T.reshape(len(order), *values.shape[1:])
 
 
-def _weighted(column: Any, index: Any, weight: Any) -> Any:
-    weight = weight.astype(column.dtype)
+def _weighted(flat: Any, index: Any, weight: Any) -> Any:
+    weight = weight.astype(flat.dtype)
     if index.shape[0] > _UNROLLED:
-        return jnp.sum(weight * column[index], axis=0)
-    total = weight[0] * column[index[0]]
+        return jnp.sum(weight * flat[:, index], axis=1)
+    total = weight[0] * flat[:, index[0]]
     for k in range(1, index.shape[0]):
-        total = total + weight[k] * column[index[k]]
+        total = total + weight[k] * flat[:, index[k]]
     return total

@@ -131,6 +131,16 @@ def test_bad_options_are_one_sentence(capsys, tmp_path, arguments, says):
     assert not os.path.exists("runs")
 
 
+def test_inspect_refuses_nonsense(capsys, tmp_path):
+    write(tmp_path, "box.obj", CUBE)
+    write(tmp_path, "bad.obj", OBJ + "f 1 1 2\n")
+    for arguments in (["--scheme", "nonsense"], ["--alpha", "nan"], ["--steps", "0"], ["--steps", "2"]):
+        assert main(["inspect", "box.obj", *arguments]) == 2
+    assert main(["inspect", "bad.obj", "--drop-defects", "--scheme", "nonsense"]) == 2
+    assert main(["factors", "box.obj", "--eye", "9", "9", "9", "--cover", "0.5"]) == 2
+    assert "give one of them" in capsys.readouterr().err
+
+
 @pytest.mark.gl
 def test_cover_frames_anew(device, capsys, tmp_path):
     shares = []

@@ -123,7 +123,7 @@ def test_obj_tags_and_what_is_left_out(tmp_path):
         ("t crease 2/1/0 0\n", "line 1: a tag 'crease' needs vertices and one sharpness"),
         ("t crease\n", "line 1: a tag should be"),
         ("t crease 2/1/0 0 1 -2\n", "line 1: a sharpness must not be negative"),
-        (OBJ + "t crease 2/1/0 0 9 1\n", "a tag names a vertex beyond the 5"),
+        (OBJ + "t crease 2/1/0 0 9 1\n", "crease 0 .* names vertex 9, but there are 5"),
         (OBJ + "t crease 2/1/0 0 4 1\n", "crease 0 joins vertices 0 and 4"),
         (b"v 0 0 0\0", "not a text file"),
     ],
@@ -279,12 +279,24 @@ def test_every_cut_of_a_ply_file_is_refused(tmp_path, form):
             load(write(tmp_path, "a.ply", whole[:end]))
 
 
+def test_a_ply_comment_does_not_end_the_header(tmp_path):
+    text = ply(cube(), "ascii").replace(b"comment made here", b"comment end_header follows")
+    assert read_ply(write(tmp_path, "a.ply", text)).mesh is not None
+
+
+@pytest.mark.parametrize("length", [np.nan, np.inf, -1.0, 2.5, 1e9])
+def test_lengths_of_ply_lists_that_are_none(tmp_path, length):
+    head = b"ply\nformat binary_little_endian 1.0\nelement face 1\nproperty list float int vertex_indices\nend_header\n"
+    with pytest.raises(InputError, match="has the length"):
+        read_ply(write(tmp_path, "a.ply", head + struct.pack("<f3i", length, 0, 1, 2)))
+
+
 def test_other_ply_files_are_refused(tmp_path):
     text = ply(cube(), "ascii").decode()
     for old, new, says in (
         ("format ascii 1.0\n", "", "does not say its format"),
         ("ascii", "text", "line 2: .* no line of a PLY header"),
-        ("double x", "double a", "no property 'x' of its vertices"),
+        ("double x", "double a", "no number 'x' of its vertices"),
         ("vertex_indices", "indices", "no list 'vertex_indices'"),
         ("element face 6", "element faces 6", "no element 'face'"),
         ("property double y", "property complex y", "line 6: .* no line of a PLY header"),
@@ -292,7 +304,11 @@ def test_other_ply_files_are_refused(tmp_path):
         ("4 0 1 3 2", "4 0 1 3 20", "face 0 .* has a vertex 20"),
         ("4 0 1 3 2", "4 0 1 3 0.5", "face 0 .* names vertex 0.5, which is no whole number"),
         ("4 0 1 3 2", "-4 0 1 3 2", "has the length -4"),
-        ("element vertex 8", "element vertex -8", "is negative"),
+        ("element vertex 8", "element vertex -8", "needs from 0 to .* entries, not -8"),
+        ("property double x", "property list uchar double x", "no number 'x' of its vertices"),
+        ("property list uchar int vertex_indices", "property int vertex_indices", "no list 'vertex_indices'"),
+        ("property double y", "property double x", "properties with different names"),
+        ("element face 6", "element other 3\nelement face 6", "element 'other' needs .* properties"),
     ):
         assert old in text
         with pytest.raises(InputError, match=says):
@@ -341,7 +357,7 @@ def test_usd_meshes(tmp_path):
     assert mesh.crease_sharpness.tolist() == [2, 2, 5]
     assert (mesh.points.tolist(), mesh.point_sharpness.tolist()) == ([7], [3])
     assert content.up == (0, 1, 0)
-    assert content.notes == ("geometry of other kinds was left out: 1 Sphere",)
+    assert content.notes == ("geometry of other kinds was left out: 1 of Sphere",)
 
 
 def test_usd_orientation_holes_and_schemes(tmp_path):
@@ -366,6 +382,11 @@ def test_usd_orientation_holes_and_schemes(tmp_path):
     [
         ("[4, 4, 4, 4, 4, 4]", "[4, 4, 4, 4, 4, 5]", "lists 24 corners, but its faces have 25"),
         ("creaseLengths = [3, 2]", "creaseLengths = [3, 3]", "creases of /top/cube do not fit"),
+        ("creaseLengths = [3, 2]", "creaseLengths = [6, -1]", "creases of /top/cube do not fit"),
+        ("Sharpnesses = [2, 5]", "Sharpnesses = [2, nan]", "/top/cube: crease 2 .* has the sharpness nan"),
+        ("creaseIndices = [0, 1", "creaseIndices = [0, 8", "/top/cube: crease 0 .* names vertex 8"),
+        ("cornerIndices = [7]", "cornerIndices = [99]", "/top/cube: sharp vertex 0 .* names vertex 99"),
+        ("cornerIndices = [7]", "cornerIndices = [7, 1]", "every sharp vertex needs a sharpness"),
         ("0, 1, 3, 2, 4, 6", "0, 1, 3, 9, 4, 6", "/top/cube: face 0 .* has a vertex 9"),
         ("def Mesh", "def Cube", "holds no mesh and no NURBS patch"),
         ("#usda 1.0", "#usdb 1.0", "no USD file that can be read"),
@@ -376,6 +397,27 @@ def test_bad_usd_files(tmp_path, old, new, says):
     usd()
     with pytest.raises(InputError, match=says):
         read(write(tmp_path, "a.usda", USD.replace(old, new)))
+
+
+def test_usd_holes_instances_and_what_is_hidden(tmp_path):
+    usd()
+    holes = USD.replace("int[] creaseIndices", "int[] holeIndices = [0, 1, 2, 3, 4, 5]\n int[] creaseIndices")
+    with pytest.raises(InputError, match="holds no mesh"):
+        read(write(tmp_path, "a.usda", holes))
+    two = USD.replace('def Xform "top"', 'def Xform "again" (references = </top>)\n{\n}\ndef Xform "top"')
+    assert polygons(read(write(tmp_path, "b.usda", two))).face_count == 12
+    shared = two.replace("references = </top>", "instanceable = true\n references = </top>")
+    assert polygons(read(write(tmp_path, "c.usda", shared))).face_count == 12
+    one = two.replace("{\n}", '{\n token visibility = "invisible"\n}', 1)
+    content = read(write(tmp_path, "d.usda", one))
+    assert polygons(content).face_count == 6
+    assert "1 of what is invisible or a guide" in content.notes[0]
+    first = USD.replace("int[] creaseIndices", "int[] holeIndices = [0]\n int[] creaseIndices")
+    scene = load(
+        write(tmp_path, "e.usda", first.replace('def Sphere "ball"', 'def Xform "again" (references = </top>)'))
+    )
+    assert scene.faces is not None
+    assert np.unique(scene.faces).tolist() == [1, 2, 3, 4, 5, 7, 8, 9, 10, 11]
 
 
 def nurbs_usd(extra=""):
@@ -407,6 +449,10 @@ def test_usd_nurbs(tmp_path):
     assert rational[0, 1, 1].tolist() == [2, 2, 2, 2]
     for extra, says in (
         ("double[] pointWeights = [1, 2]", "2 weights for 12 points"),
+        (
+            "double[] pointWeights = [" + ", ".join(["inf"] * 12) + "]",
+            "/patch has control points or weights that are not fin",
+        ),
         ("int[] trimCurve:counts = [1]", "trimmed surface, which is not supported"),
         ("double[] pointWeights = [" + ", ".join(["1", "0", "1"] * 4) + "]", "a weight that is not positive"),
     ):
@@ -427,11 +473,12 @@ def test_3dm(tmp_path):
         shape.Faces.AddFace(*face)
     model.Objects.AddMesh(shape)
     model.Objects.AddPoint(rhino.Point3d(0, 0, 0))
+    model.Objects.AddMesh(rhino.Mesh())
     path = tmp_path / "a.3dm"
     model.Write(str(path), 8)
     content = read(path)
     assert faces(polygons(content)) == faces(cube())
-    assert content.notes == ("objects of other kinds were left out: 1 Point",)
+    assert content.notes == ("objects of other kinds were left out: 1 Point, 1 empty Mesh",)
     scene = load(path)
     sphere = scene.patches()[6:]
     assert sphere.shape == (8, 4, 4, 4)

@@ -145,6 +145,42 @@ def test_what_is_no_mesh(vertices, faces, says):
         Mesh.of(vertices, faces)
 
 
+@pytest.mark.parametrize(
+    ("sharp", "says"),
+    [
+        ({"creases": [[0, 8]], "crease_sharpness": [1.0]}, "crease 0 .* names vertex 8, but there are 8"),
+        ({"creases": [[-1, 0]], "crease_sharpness": [1.0]}, "crease 0 .* names vertex -1"),
+        ({"creases": [[0, 1]], "crease_sharpness": [np.nan]}, "crease 0 .* has the sharpness nan"),
+        ({"creases": [[0, 1]], "crease_sharpness": [-3.0]}, "crease 0 .* has the sharpness -3"),
+        ({"creases": [[0, 1]], "crease_sharpness": []}, "every crease needs a sharpness: there are 1 and 0"),
+        ({"points": [0, 9], "point_sharpness": [1.0, 2.0]}, "sharp vertex 1 .* names vertex 9"),
+    ],
+)
+def test_what_is_no_crease(sharp, says):
+    square = Mesh.of(SQUARE, [(0, 1, 2, 3)])
+    with pytest.raises(InputError, match=says):
+        Mesh.packed(
+            square.vertices, square.corners, square.sizes, **{name: np.array(value) for name, value in sharp.items()}
+        )
+
+
+def test_faces_name_vertices_by_whole_numbers():
+    with pytest.raises(InputError, match="whole numbers"):
+        Mesh.of(SQUARE, [(0.7, 1, 2, 3)])
+
+
+def test_large_faces_do_not_widen_the_search_for_duplicates():
+    """A cylinder with two caps of 20,000 corners; a table as wide as those would take 6 GB."""
+    n = 20_000
+    ring = np.arange(n)
+    sides = np.stack([ring, np.roll(ring, -1), n + np.roll(ring, -1), n + ring], axis=1)
+    angle = 2 * np.pi * ring / n
+    places = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    corners = np.concatenate([sides.ravel(), ring[::-1], n + ring])
+    mesh = Mesh.packed(np.concatenate([places, places + [0, 0, 1]]), corners, [*[4] * n, n, n])
+    assert find_defects(mesh) == []
+
+
 def test_a_vertex_with_two_fans_has_no_one_ring():
     with pytest.raises(InputError, match="2 fans"):
         Mesh.of(SQUARE, [(0, 1, 2), (2, 5, 4)]).one_ring(2)

@@ -94,10 +94,10 @@ def test_meshes_draw_without_a_crack(models, device, name, rng):
 
 
 def test_the_certified_factor_holds_on_a_mesh(models, device):
-    """One view of one mesh with triangles and boundaries; all of them are among the slow tests."""
+    """One view of a small mesh with boundaries of valence 3 to 7; all of them are among the slow tests."""
     from slefejax.gpu import Renderer
 
-    scene = load(models / "suzanne.obj")
+    scene = load(models / "catmark_xord_boundary.obj")
     check_view(scene, View(scene.default_camera(), 480, 300), Renderer(scene.patches(), device))
 
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.interpolate import NdBSpline
+from scipy.interpolate import BSpline, NdBSpline
 
 from slefejax import InputError
-from slefejax.bezier import evaluate_patch
+from slefejax.bezier import evaluate_curve, evaluate_patch
 from slefejax.bspline import basis_pieces
 from slefejax.conversion.nurbs import bezier_axis, spline_patches, uniform_knots
 from slefejax.conversion.weights import with_common_weights
@@ -83,11 +83,31 @@ def test_a_closed_surface_shares_its_seam_and_a_pole_is_a_point():
     assert np.array_equal(shared_edges(patches), work.edge_numbers)
 
 
-def test_a_part_of_the_domain():
-    axis = bezier_axis(uniform_knots(8, 3), 3, 8, (1.0, 3.0))
-    assert len(axis.net) == 2
-    with pytest.raises(InputError, match="no interval between knots lies in the range"):
-        bezier_axis(uniform_knots(8, 3), 3, 8, (1.2, 1.8))
+@pytest.mark.parametrize("bounds", [(1.0, 3.0), (0.5, 2.25), (2.1, 2.9), (0.0, 5.0 - 1e-12)])
+def test_a_part_of_the_domain(bounds):
+    """Intervals that the range cuts are cut, exactly."""
+    rng = np.random.default_rng(3)
+    control = rng.normal(size=8)
+    axis = bezier_axis(uniform_knots(8, 3), 3, 8, bounds)
+    breaks = [bounds[0], *(k for k in range(6) if bounds[0] < k < bounds[1] - 1e-9), bounds[1]]
+    assert len(axis.net) == len(breaks) - 1
+    spline = BSpline(uniform_knots(8, 3), control, 3)
+    for net, a, b in zip(axis.net, breaks[:-1], breaks[1:], strict=True):
+        t = np.linspace(0, 1, 7)
+        np.testing.assert_allclose(evaluate_curve((axis.rows @ control)[net], t), spline(a + t * (b - a)), atol=1e-13)
+
+
+@pytest.mark.parametrize("bounds", [(-1.0, 2.0), (1.0, 7.0), (2.0, 1.0), (3.0, 3.0), (np.nan, 2.0)])
+def test_what_is_no_part_of_the_domain(bounds):
+    with pytest.raises(InputError, match="is no part of the spline's own, 0 to 5"):
+        bezier_axis(uniform_knots(8, 3), 3, 8, bounds)
+
+
+def test_a_knot_that_parts_the_surface():
+    axis = bezier_axis(np.array([0.0, 0, 1, 1, 2, 2]), 1, 4)
+    assert axis.net.tolist() == [[0, 1], [2, 3]]
+    with pytest.raises(InputError, match="degree 1 is repeated more than 2 times"):
+        bezier_axis(np.array([0.0, 0, 1, 1, 1, 2, 2]), 1, 5)
 
 
 @pytest.mark.parametrize(
@@ -96,7 +116,8 @@ def test_a_part_of_the_domain():
         (np.arange(7.0), 3, 4, "needs 8 knots, not 7"),
         (np.array([0, 1, 2, 3, 2, 5, 6, 7.0]), 3, 4, "do not decrease"),
         (np.array([0, 1, 2, 3, np.nan, 5, 6, 7.0]), 3, 4, "do not decrease"),
-        (np.zeros(8), 3, 4, "leave no interval"),
+        (np.zeros(8), 3, 4, "repeated more than 4 times"),
+        (np.array([0, 1, 2, 2, 2, 2, 3, 4.0]), 3, 4, "leave no interval"),
         (np.arange(7.0), 3, 3, "at least 4 control points, not 3"),
         (np.arange(7.0), 0, 6, "a degree from 1 to 64, not 0"),
     ],
@@ -122,6 +143,9 @@ def test_weights_of_neighbours_are_brought_together():
     assert "weights of 3 of 4 patches were multiplied by a factor" in notes[0]
     np.testing.assert_allclose(found, same, rtol=1e-14, atol=1e-15)
     assert len(np.unique(shared_edges(found))) == 12
+    nudged = found.copy()
+    nudged[1, 0] *= 1 + 1e-14
+    assert "1 edges that were the same but for rounding" in with_common_weights(nudged)[1][0]
     again, notes = with_common_weights(found)
     assert again is found
     assert notes == ()

@@ -33,13 +33,26 @@ def test_patches_know_their_face(tmp_path):
     assert load(path, alpha=1.0).patches()[1, 1, 1].tolist() != scene.patches()[1, 1, 1].tolist()
 
 
-def test_faces_of_a_mesh_without_its_defects_keep_their_numbers(tmp_path):
-    path = write(tmp_path, "a.obj", "v 9 9 9\n" + CUBE.replace("f ", "f 1 1 2\nf ", 1).replace("f 1 1 2", "f 2 2 3"))
-    text = (tmp_path / "a.obj").read_text()
-    numbers = [line for line in text.splitlines() if line.startswith("f")]
-    assert numbers[0] == "f 2 2 3"
-    with pytest.raises(InputError, match=r"a\.obj: face 0 names vertex 1 twice \(counted from 0\): repair"):
+def test_faces_keep_the_numbers_of_their_file(tmp_path):
+    """Whatever was dropped before them, and of whatever group they are."""
+    degenerate = OBJ.replace("f 1/1/1", "f 1 1 2\nf 1/1/1")
+    path = write(tmp_path, "a.obj", degenerate)
+    with pytest.raises(InputError, match=r"a\.obj: face 0 names vertex 0 twice \(counted from 0\): repair"):
         load(path)
+    scene = load(path, drop_defects=True)
+    assert scene.faces is not None
+    assert scene.faces.tolist() == [1, 2]
+    side = load(path, group="side")
+    assert side.faces is not None
+    assert side.faces.tolist() == [2]
+    with pytest.raises(InputError, match="face 3 names vertex 4 twice"):
+        load(write(tmp_path, "b.obj", degenerate + "f 5 5 2\n"), group="side")
+
+
+def test_creases_that_go_with_dropped_faces_are_said(tmp_path):
+    square = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\nf 1 2 3 4\nt crease 2/1/0 0 2 2\n"
+    scene = load(write(tmp_path, "a.obj", square), drop_defects=True)
+    assert "1 creases are no edges any more and were left out" in scene.notes
 
 
 def test_dropped_faces_and_isolated_vertices_are_said(tmp_path):
@@ -61,6 +74,13 @@ def test_options_without_a_meaning_are_refused(tmp_path):
     for options in every:
         with pytest.raises(InputError, match="teapot is a list of patches, no control mesh: "):
             load("teapot", **options)
+    for group in ((), 3, ("a", 3)):
+        with pytest.raises(InputError, match="group must be a name or a tuple of names"):
+            load(write(tmp_path, "a.obj", CUBE), group=group)
+    with pytest.raises(InputError, match="drop_defects must be True or False"):
+        load(write(tmp_path, "a.obj", CUBE), drop_defects="no")
+    with pytest.raises(InputError, match="a file name or a built-in scene is needed"):
+        load("")
     pytest.importorskip("pxr", reason="usd-core is not installed")
     with pytest.raises(InputError, match="holds no control mesh: steps has no meaning"):
         load(write(tmp_path, "a.usda", nurbs_usd()), steps=1)
@@ -142,6 +162,9 @@ def test_any_direction_can_be_up(teapot, up):
 
 
 def test_bad_framing(teapot):
+    for aspect in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(InputError, match="a picture needs a positive width over height"):
+            frame_share(teapot.patches(), aspect=aspect)
     for share in (0.0, -1.0, 1.5, np.nan):
         with pytest.raises(InputError, match="share of the screen"):
             frame_share(teapot.patches(), share)

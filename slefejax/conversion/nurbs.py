@@ -20,6 +20,7 @@ from slefejax.errors import InputError
 from slefejax.slefe import HIGHEST_DEGREE
 from slefejax.stencils import StencilTable
 
+_SLIVER = 1e-9  # of an interval between knots; a smaller piece at the end of a range is a rounding error
 _SAME = 1e-13  # weights are affine combinations of numbers below 1, exact to a few rounding errors
 
 
@@ -41,9 +42,10 @@ def bezier_axis(
     """How the Bézier points of a spline of that degree, with ``count`` control points, are made of them.
 
     knots  : count + degree + 1 numbers, not decreasing; those at the ends need not be repeated
-    bounds : the part of the parameter that is wanted, knots themselves; the whole domain if not given
+    bounds : the part of the parameter that is wanted; the whole domain if not given
 
-    Raises InputError for knots that are no such list, or a spline that is not connected (a knot repeated too often).
+    A knot repeated degree + 1 times parts the surface. Raises InputError for knots that are no such list, and for
+    bounds outside of the domain.
 
     >>> bezier_axis(np.array([0.0, 0.0, 1.0, 2.0, 2.0]), 1, 3).net.tolist()
     [[0, 1], [1, 2]]
@@ -51,12 +53,17 @@ def bezier_axis(
     knots = np.asarray(knots, np.float64)
     check_knots(knots, degree, count)
     low, high = bounds or (knots[degree], knots[count])
-    spans = [i for i in range(degree, count) if low <= knots[i] < knots[i + 1] <= high]
-    if not spans:
-        raise InputError(f"no interval between knots lies in the range {low:g} to {high:g} of the spline")
+    slack = _SLIVER * (knots[count] - knots[degree])
+    if not knots[degree] - slack <= low < high - slack <= knots[count]:
+        raise InputError(
+            f"the range {low:g} to {high:g} is no part of the spline's own, {knots[degree]:g} to {knots[count]:g}"
+        )
     rows, net = [], []
-    for i in spans:
-        own = _interval_rows(knots, degree, count, i)
+    for i in range(degree, count):
+        a, b = max(low, knots[i]), min(high, knots[i + 1])
+        if b - a <= _SLIVER * (knots[i + 1] - knots[i]):
+            continue
+        own = _interval_rows(knots, degree, count, i, a, b)
         start = 0
         if rows and np.allclose(rows[-1], own[0], rtol=0, atol=_SAME):
             start = 1
@@ -78,13 +85,14 @@ def check_knots(knots: np.ndarray, degree: int, count: int) -> None:
         )
     if not np.isfinite(knots).all() or np.any(np.diff(knots) < 0):
         raise InputError("the knots of a spline must be finite numbers that do not decrease")
+    if np.any(knots[degree + 1 :] == knots[: -degree - 1]):
+        raise InputError(f"a knot of a spline of degree {degree} is repeated more than {degree + 1} times")
     if not knots[degree] < knots[count]:
         raise InputError("the knots of a spline leave no interval: they are all the same")
 
 
-def _interval_rows(knots: np.ndarray, degree: int, count: int, i: int) -> np.ndarray:
-    """``(degree + 1, count)``: the Bézier points of [knots[i], knots[i+1]]."""
-    a, b = knots[i], knots[i + 1]
+def _interval_rows(knots: np.ndarray, degree: int, count: int, i: int, a: float, b: float) -> np.ndarray:
+    """``(degree + 1, count)``: the Bézier points of [a, b], a part of [knots[i], knots[i+1]]."""
     rows = np.zeros((degree + 1, count))
     for j in range(degree + 1):
         rows[j, i - degree : i + 1] = _blossom_weights(knots, degree, i, [a] * (degree - j) + [b] * j)

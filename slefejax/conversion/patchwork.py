@@ -50,7 +50,7 @@ class Patchwork:
     def packed(self, control: Any) -> Any:
         """The same by JAX in the layout of the kernels, ``(chunks, du+1, dv+1, dim, lanes)`` (``slefejax.layout``)."""
         points, net = self.points(control), self._packed_net
-        return jnp.stack([points[:, k][net] for k in range(points.shape[1])], axis=3)
+        return jnp.moveaxis(points.reshape(len(points), -1).T[:, net], 0, 3)
 
     @cached_property
     def edge_numbers(self) -> Int[np.ndarray, "patches 4"]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
-from slefejax.arguments import is_whole
+from slefejax.arguments import check_positive, is_whole
 from slefejax.conversion.acc import ALPHA, acc_patches
 from slefejax.conversion.catmull_clark import refine
 from slefejax.conversion.patchwork import KINDS, Patchwork
@@ -20,6 +20,7 @@ from slefejax.stencils import StencilTable
 
 SCHEMES = ("auto", "acc", "pinched", "bspline", "catmull-clark+acc")
 _MOST_STEPS = 8
+_MOST_PATCHES = 2_000_000  # of which the tables alone take a gigabyte
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,10 +51,11 @@ class Conversion:
         """Tangent patches for shading, ``(patches, 3, 4, 3)`` along u and ``(patches, 4, 3, 3)`` along v, by JAX.
 
         Bernstein coefficients of bi-degree (2, 3) and (3, 2); their cross product is a normal that agrees with the
-        neighbour's along every edge inside of the surface that touches no triangle (``conversion.tangents``).
+        neighbour's along every smooth inner edge, except next to triangles, corners and vertices of valence 2
+        (``slefejax.conversion.tangents``).
         """
         du, dv = self._tangents
-        rest = vertices.shape[1:]
+        rest = np.shape(vertices)[1:]
         return du(vertices).reshape(-1, 3, 4, *rest), dv(vertices).reshape(-1, 4, 3, *rest)
 
     @property
@@ -80,6 +82,9 @@ def convert(mesh: Mesh, scheme: str = "auto", alpha: Any = ALPHA, steps: Any = N
     if steps is not None and chosen != "catmull-clark+acc":
         raise InputError(f"steps belong to the scheme 'catmull-clark+acc', not to {chosen!r}")
     _check_faces(mesh, chosen)
+    if chosen == "catmull-clark+acc" and len(mesh.corners) * 4 ** ((steps or 1) - 1) > _MOST_PATCHES:
+        made = len(mesh.corners) * 4 ** ((steps or 1) - 1)
+        raise InputError(f"{steps or 1} steps would make {made:,} patches, more than {_MOST_PATCHES:,}: take fewer")
     finer, table, parents = mesh, None, np.arange(mesh.face_count)
     for _ in range((steps or 1) if chosen == "catmull-clark+acc" else 0):
         finer, table, parents = _one_more(finer, table, parents)
@@ -99,8 +104,7 @@ def _one_more(
 def _check(scheme: str, alpha: Any, steps: Any) -> None:
     if scheme not in SCHEMES:
         raise InputError(f"there is no scheme {scheme!r}: choose one of {', '.join(SCHEMES)}")
-    if not (np.ndim(alpha) == 0 and np.isfinite(alpha) and alpha > 0):
-        raise InputError(f"alpha must be a positive number, not {alpha!r}")
+    check_positive("alpha", alpha)
     if steps is not None and not (is_whole(steps, 1) and steps <= _MOST_STEPS):
         raise InputError(f"steps must be a whole number from 1 to {_MOST_STEPS}, not {steps!r}")
 

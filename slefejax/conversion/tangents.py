@@ -9,8 +9,9 @@ a half-edge from a to b, in a face that lies to its left, with T the derivative 
     N_3 = tangent at b, edge before N_2 = (c_a T_2 - 2 c_b T_1)/3 + 3 (B - ba)
 
 with c = cos(2 pi / n), and ab, ba, A, B the edge and interior points of ``acc``. The fields of two faces then satisfy
-N + N' = 2 ((1-t) c_a - t c_b) T all along the edge. At boundaries, sharp edges, and edges with a vertex that touches a
-triangle, N_1, N_2 (and there T, N too) are the derivatives of the patch itself: nothing is promised there.
+N + N' = 2 ((1-t) c_a - t c_b) T all along the edge. At boundaries and sharp edges N_1, N_2 are the derivatives of the
+patch itself, and so is everything at edges with an end that touches a triangle, is a corner, or has valence 2: nothing
+is promised there.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ def _put(u: _Choice, v: _Choice, faces: Any, side: int, t: np.ndarray, n: np.nda
 def _edge_fields(around: Neighbourhood, points: StencilTable) -> tuple[StencilTable, StencilTable, Bool[Any, "c 2"]]:
     """T_0 ... T_2 and N_0 ... N_3 of every half-edge; usable: whether T, N_0, N_3 are, and whether N_1, N_2 are."""
     mesh, fans = around.mesh, around.fans
-    ahead, aside, quads_only = corner_tangents(around)
+    ahead, aside, sound = corner_tangents(around)
     out, back = (mesh.vertex_count + rows for rows in out_and_back(mesh))
     inside = mesh.vertex_count + 2 * mesh.edge_count + np.arange(len(mesh.corners))
     following = mesh.next_corner
@@ -97,7 +98,7 @@ def _edge_fields(around: Neighbourhood, points: StencilTable) -> tuple[StencilTa
     n_2 = last.scaled(c_a / 3.0) - middle.scaled(2.0 / 3.0 * c_b) + far
     along = _interleaved([first, middle, last])
     inward = _interleaved([aside, n_1, n_2, ahead.take(following)])
-    good = quads_only[fans.fan]
+    good = sound[fans.fan]
     ends = good & good[following]
     smooth = (mesh.twin >= 0) & ~around.sharp[mesh.edge]
     return along, inward, np.stack([ends, ends & smooth], axis=1)
@@ -111,9 +112,10 @@ def _interleaved(tables: list[StencilTable]) -> StencilTable:
 
 
 def corner_tangents(around: Neighbourhood) -> tuple[StencilTable, StencilTable, Bool[np.ndarray, "fans"]]:
-    """At every corner the limit tangents along its half-edge V -> W and along V -> X; which fans have quads only.
+    """At every corner the limit tangents along its half-edge V -> W and along V -> X; of which fans they are usable.
 
-    In a fan all of them are cos(k t) A + sin(k t) B, k the place of the edge and t = 2 pi / n.
+    In a fan all of them are cos(k t) A + sin(k t) B, k the place of the edge and t = 2 pi / n. They are not around
+    vertices that touch a triangle, stay where they are (corners), or have all their edges in one line (n = 2).
     """
     fans = around.fans
     angle = 2.0 * np.pi / around.steps[fans.fan]
@@ -122,29 +124,21 @@ def corner_tangents(around: Neighbourhood) -> tuple[StencilTable, StencilTable, 
     ahead = a.scaled(np.cos(k * angle)) + b.scaled(np.sin(k * angle))
     aside = a.scaled(np.cos((k + 1) * angle)) + b.scaled(np.sin((k + 1) * angle))
     others = np.bincount(fans.fan, around.mesh.sizes[around.mesh.face] != 4, minlength=len(fans.size))
-    return ahead, aside, others == 0
+    return ahead, aside, (others == 0) & (around.rule[fans.vertex] != CORNER) & (around.steps > 2)
 
 
 def _frame(around: Neighbourhood) -> tuple[StencilTable, StencilTable]:
     """A and B of every fan."""
     fans, mesh = around.fans, around.mesh
-    corner = (around.rule[fans.vertex] == CORNER) & ~fans.closed
     first, last = _ends_of_fans(around)
-    vertex = fans.vertex
     count = len(fans.size)
 
     def rows(columns: np.ndarray) -> StencilTable:
         return StencilTable.of(np.arange(count), columns, np.ones(count), (count, mesh.vertex_count))
 
     closed_a, closed_b = _closed_frame(around)
-    crease_a = (rows(first) - rows(last)).scaled(0.5)
-    crease_b = _crease_frame(around, rows(first) + rows(last), rows(vertex))
-    # at a corner the fan spans a quarter turn, from one edge to the other
-    corner_a, corner_b = rows(first) - rows(vertex), rows(last) - rows(vertex)
-    crease = ~fans.closed & ~corner
-    a = closed_a + crease_a.scaled(crease * 1.0) + corner_a.scaled(corner * 1.0)
-    b = closed_b + crease_b.scaled(crease * 1.0) + corner_b.scaled(corner * 1.0)
-    return a, b
+    crease_a = (rows(first) - rows(last)).scaled(0.5 * ~fans.closed)
+    return closed_a + crease_a, closed_b + _crease_frame(around, rows(first) + rows(last), rows(fans.vertex))
 
 
 def _ends_of_fans(around: Neighbourhood) -> tuple[np.ndarray, np.ndarray]:

@@ -44,6 +44,7 @@ def with_common_weights(
             ratio = float(ratios[0])
             if np.max(np.abs(ratios / ratio - 1.0)) > _SAME_RATIO:
                 raise InputError(_no_multiple(one, other))
+            ratio = 1.0 if abs(ratio - 1.0) <= _SAME_RATIO else ratio
             unequal.append((one, other, backwards))
         links.setdefault(one // 4, []).append((other // 4, ratio))
         links.setdefault(other // 4, []).append((one // 4, 1.0 / ratio))
@@ -53,6 +54,8 @@ def with_common_weights(
     scaled = np.where((factor == 1.0)[:, None, None, None], patches, patches * factor[:, None, None, None])
     changed = int(np.count_nonzero(factor != 1.0))
     note = f"the weights of {changed} of {len(patches)} patches were multiplied by a factor to agree with neighbours"
+    if not changed:
+        note = f"{len(unequal)} edges that were the same but for rounding were made equal bit for bit"
     return _made_equal(scaled, pairs), (note,)
 
 

@@ -59,10 +59,14 @@ def read_bytes(path: Path) -> bytes:
         raise InputError(f"{path} cannot be read: {error.strerror or error}") from None
 
 
-def joined(meshes: list[Mesh]) -> Mesh:
-    """Several meshes as one; vertices and faces are numbered on."""
+def joined(meshes: list[Mesh], counts: list[int] | None = None) -> Mesh:
+    """Several meshes as one; vertices and faces are numbered on.
+
+    counts : how many faces each has in the file, if some of them were left out
+    """
     if len(meshes) == 1:
         return meshes[0]
+    faces = np.cumsum([0, *(counts or [mesh.face_count for mesh in meshes])[:-1]])
     starts = np.cumsum([0, *(mesh.vertex_count for mesh in meshes[:-1])])
 
     def shifted(name: str) -> np.ndarray:
@@ -72,6 +76,7 @@ def joined(meshes: list[Mesh]) -> Mesh:
         np.concatenate([mesh.vertices for mesh in meshes]),
         shifted("corners"),
         np.concatenate([mesh.sizes for mesh in meshes]),
+        np.concatenate([mesh.numbers + start for mesh, start in zip(meshes, faces, strict=True)]),
         creases=shifted("creases"),
         crease_sharpness=np.concatenate([mesh.crease_sharpness for mesh in meshes]),
         points=shifted("points"),

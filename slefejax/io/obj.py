@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,6 +34,8 @@ class _Reader:
     vertices: list[list[float]] = field(default_factory=list)
     faces: list[list[int]] = field(default_factory=list)
     lines: list[int] = field(default_factory=list)
+    numbers: list[int] = field(default_factory=list)
+    count: int = 0
     creases: list[tuple[int, int, float]] = field(default_factory=list)
     points: list[tuple[int, float]] = field(default_factory=list)
     groups: frozenset[str] = frozenset({"default"})
@@ -73,12 +76,14 @@ class _Reader:
     def polygon(self, items: list[str]) -> None:
         if len(items) < 3:
             raise self.fail(f"a face needs at least three vertices, not {len(items)}: is the file complete?")
+        self.count += 1
         names = self.groups | {self.object}
         self.named |= names
         if self.wanted is not None and not (self.wanted & names):
             return
         self.faces.append([self.index(item) for item in items])
         self.lines.append(self.line)
+        self.numbers.append(self.count - 1)
 
     def index(self, item: str) -> int:
         text = item.split("/", 1)[0]
@@ -114,7 +119,7 @@ class _Reader:
             self.points += list(zip(ints, each, strict=True))
 
 
-def read_obj(path: Path, group: str | tuple[str, ...] | None = None) -> Content:
+def read_obj(path: Path, group: Any = None) -> Content:
     """The control mesh of a file. Vertices keep their numbers, used or not.
 
     group : names of groups or objects: only their faces are read
@@ -124,7 +129,10 @@ def read_obj(path: Path, group: str | tuple[str, ...] | None = None) -> Content:
     data = read_bytes(path)
     if b"\0" in data:
         raise InputError(f"{path} is not a text file: an .obj file is plain text")
-    wanted = None if group is None else frozenset([group] if isinstance(group, str) else group)
+    names = (group,) if isinstance(group, str) else group
+    if names is not None and not (isinstance(names, tuple) and names and all(isinstance(n, str) for n in names)):
+        raise InputError(f"group must be a name or a tuple of names, not {group!r}")
+    wanted = None if names is None else frozenset(names)
     reader = _Reader(path, wanted)
     for reader.line, words in _statements(data.decode("utf-8-sig", errors="replace")):
         reader.take(words)
@@ -157,20 +165,25 @@ def _mesh(reader: _Reader) -> Mesh:
         if max(face) >= count:
             reader.line = line
             raise reader.fail(f"the face names vertex {max(face) + 1}, but there are {count}: is the file complete?")
-    named = [v for a, b, _ in reader.creases for v in (a, b)] + [v for v, _ in reader.points]
-    if named and not 0 <= min(named) <= max(named) < count:
-        raise InputError(f"{reader.path}: a tag names a vertex beyond the {count} there are (counted from 0)")
-    mesh = Mesh.packed(
+    try:
+        mesh = _packed(reader)
+    except InputError as error:
+        raise InputError(f"{reader.path}: {error}") from None
+    # creases of other groups are not this mesh's
+    return mesh if reader.wanted is None else mesh.keep(np.ones(mesh.face_count, bool))
+
+
+def _packed(reader: _Reader) -> Mesh:
+    return Mesh.packed(
         np.array(reader.vertices),
         np.concatenate(reader.faces),
         [len(face) for face in reader.faces],
+        reader.numbers,
         creases=np.array([c[:2] for c in reader.creases], np.int64).reshape(-1, 2),
         crease_sharpness=np.array([c[2] for c in reader.creases], np.float64),
         points=np.array([p[0] for p in reader.points], np.int64),
         point_sharpness=np.array([p[1] for p in reader.points], np.float64),
     )
-    # creases of other groups are not this mesh's
-    return mesh if reader.wanted is None else mesh.keep(np.ones(mesh.face_count, bool))
 
 
 def _notes(reader: _Reader) -> tuple[str, ...]:

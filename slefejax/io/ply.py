@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,8 @@ _TYPES = {
     "float32": "f4",
     "float64": "f8",
 }
+_LONGEST_HEADER = 10**6
+_MOST = 10**9
 _FORMATS = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -60,11 +63,13 @@ def read_ply(path: Path) -> Content:
     for name in ("vertex", "face"):
         if name not in found:
             raise InputError(f"{path} has no element '{name}': a control mesh needs vertices and faces")
-    missing = [axis for axis in "xyz" if axis not in found["vertex"]]
-    faces = found["face"].get("vertex_indices", found["face"].get("vertex_index"))
-    if missing or faces is None:
-        what = f"property '{missing[0]}' of its vertices" if missing else "list 'vertex_indices' of its faces"
+    lists = {(e.name, p.name): p.count is not None for e in elements for p in e.properties}
+    missing = [axis for axis in "xyz" if lists.get(("vertex", axis), True)]
+    named = [name for name in ("vertex_indices", "vertex_index") if lists.get(("face", name), False)]
+    if missing or not named:
+        what = f"number '{missing[0]}' of its vertices" if missing else "list 'vertex_indices' of its faces"
         raise InputError(f"{path} has no {what}")
+    faces = found["face"][named[0]]
     faces = [_whole(path, number, face) for number, face in enumerate(faces)]
     points = np.stack([np.asarray(found["vertex"][axis], np.float64) for axis in "xyz"], axis=1)
     try:
@@ -75,10 +80,10 @@ def read_ply(path: Path) -> Content:
 
 def _header(path: Path, data: bytes) -> tuple[list[_Element], str | None, int]:
     """The elements, the byte order (None for text), and where the numbers begin."""
-    end = data.find(b"end_header")
-    start = data.find(b"\n", end) + 1
-    if not data.startswith(b"ply") or end < 0 or start == 0:
+    found = re.search(rb"^end_header[ \t]*\r?\n", data[:_LONGEST_HEADER], re.MULTILINE)
+    if not data.startswith(b"ply") or found is None:
         raise InputError(f"{path} has no PLY header, from 'ply' to 'end_header': is it complete?")
+    end, start = found.start(), found.end()
     order: Any = ""
     elements: list[_Element] = []
     for number, line in enumerate(data[:end].decode("ascii", errors="replace").splitlines(), 1):
@@ -115,8 +120,12 @@ def _whole(path: Path, number: int, face: Any) -> list[int]:
 
 def _columns(path: Path, body: Any, element: _Element) -> dict[str, Any]:
     """The values of every property, one entry a row."""
-    if element.count < 0:
-        raise InputError(f"{path}: the number of elements '{element.name}' is negative")
+    names = [p.name for p in element.properties]
+    if not 0 <= element.count < _MOST or not names or len(set(names)) < len(names):
+        raise InputError(
+            f"{path}: the header's element '{element.name}' needs from 0 to {_MOST} entries, not {element.count}, and"
+            " properties with different names"
+        )
     if all(p.count is None for p in element.properties):
         table = body.table(element)
         return {p.name: table[:, k] for k, p in enumerate(element.properties)}
@@ -154,9 +163,7 @@ class _Text:
         if p.count is None:
             return self._take(1, element)[0]
         count = self._take(1, element)[0]
-        if not (0 <= count < 1e6 and count == int(count)):
-            raise InputError(f"{self._path}: a list of elements '{element.name}' has the length {count:g}")
-        return self._take(int(count), element)
+        return self._take(_length(self._path, count, element), element)
 
 
 class _Binary:
@@ -180,5 +187,12 @@ class _Binary:
     def values(self, p: _Property, element: _Element) -> Any:
         if p.count is None:
             return self._take(p.kind, 1, element)[0]
-        count = int(self._take(p.count, 1, element)[0])
-        return self._take(p.kind, count, element)
+        count = self._take(p.count, 1, element)[0]
+        return self._take(p.kind, _length(self._path, count, element), element)
+
+
+def _length(path: Path, count: Any, element: _Element) -> int:
+    """The length of a list, which may be stored as any kind of number."""
+    if not (0 <= count < 1e6 and count == int(count)):
+        raise InputError(f"{path}: a list of elements '{element.name}' has the length {count:g}")
+    return int(count)

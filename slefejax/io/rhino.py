@@ -37,7 +37,9 @@ def read_3dm(path: Path) -> Content:
         name = f"{path}: object {number} (counted from 0)"
         if isinstance(shape, rhino3dm.Extrusion):
             shape = shape.ToBrep(True)
-        if isinstance(shape, rhino3dm.Mesh):
+        if isinstance(shape, rhino3dm.Mesh) and shape.Faces.Count == 0:
+            others["empty Mesh"] += 1
+        elif isinstance(shape, rhino3dm.Mesh):
             meshes.append(_mesh(shape, name))
         elif isinstance(shape, rhino3dm.Brep):
             faces: Any = shape.Faces

@@ -32,8 +32,10 @@ def read_usd(path: Path) -> Content:
     except Tf.ErrorException:
         raise InputError(f"{path} is no USD file that can be read: is it complete?") from None
     reader = _Reader(path, usd.TimeCode.EarliestTime(), geometry)
-    for prim in stage.Traverse():
-        reader.take(prim)
+    walk = iter(usd.PrimRange.Stage(stage, usd.TraverseInstanceProxies()))
+    for prim in walk:
+        if not reader.take(prim):
+            walk.PruneChildren()
     up = Y_UP if geometry.GetStageUpAxis(stage) == geometry.Tokens.y else Z_UP
     return reader.content(up)
 
@@ -43,6 +45,7 @@ class _Reader:
         self.path, self.time, self.geometry = path, time, geometry
         self.cache = geometry.XformCache(time)
         self.meshes: list[Mesh] = []
+        self.counts: list[int] = []
         self.splines: list[Spline] = []
         self.notes: list[str] = []
         self.others: dict[str, int] = {}
@@ -51,19 +54,32 @@ class _Reader:
         if not self.meshes and not self.splines:
             raise InputError(f"{self.path} holds no mesh and no NURBS patch")
         if self.others:
-            said = ", ".join(f"{count} {name}" for name, count in sorted(self.others.items()))
+            said = ", ".join(f"{count} of {name}" for name, count in sorted(self.others.items()))
             self.notes.append(f"geometry of other kinds was left out: {said}")
-        mesh = joined(self.meshes) if self.meshes else None
+        mesh = joined(self.meshes, self.counts) if self.meshes else None
         return Content(mesh, tuple(self.splines), up=up, notes=tuple(self.notes))
 
-    def take(self, prim: Any) -> None:
+    def take(self, prim: Any) -> bool:
+        """One prim; whether what lies below it is wanted too."""
+        shape = self.geometry.Imageable(prim)
+        if shape and (
+            self.get(shape.GetVisibilityAttr()) == "invisible" or self.get(shape.GetPurposeAttr()) == "guide"
+        ):
+            self.leave_out("what is invisible or a guide")
+            return False
         if prim.IsA(self.geometry.Mesh):
             self.mesh(self.geometry.Mesh(prim))
         elif prim.IsA(self.geometry.NurbsPatch):
             self.nurbs(self.geometry.NurbsPatch(prim))
+        elif prim.IsA(self.geometry.PointInstancer):
+            self.leave_out("PointInstancer")
+            return False
         elif prim.IsA(self.geometry.Gprim):
-            name = str(prim.GetTypeName())
-            self.others[name] = self.others.get(name, 0) + 1
+            self.leave_out(str(prim.GetTypeName()))
+        return True
+
+    def leave_out(self, name: str) -> None:
+        self.others[name] = self.others.get(name, 0) + 1
 
     def get(self, attribute: Any, default: Any = None) -> Any:
         value = attribute.Get(self.time)
@@ -100,14 +116,17 @@ class _Reader:
                 creases=pairs,
                 crease_sharpness=sharpness,
                 points=points,
-                point_sharpness=self.array(mesh.GetCornerSharpnessesAttr(), np.float64)[: len(points)],
+                point_sharpness=self.array(mesh.GetCornerSharpnessesAttr(), np.float64),
             )
         except InputError as error:
             raise InputError(f"{self.path}: {name}: {error}") from None
-        self.meshes.append(self.without_holes(own, mesh, name))
-        self.remark(mesh, name)
+        left = self.without_holes(own, mesh, name)
+        if left is not None:
+            self.meshes.append(left)
+            self.counts.append(own.face_count)
+            self.remark(mesh, name)
 
-    def without_holes(self, own: Mesh, mesh: Any, name: str) -> Mesh:
+    def without_holes(self, own: Mesh, mesh: Any, name: str) -> Mesh | None:
         holes = self.array(mesh.GetHoleIndicesAttr(), np.int64)
         holes = holes[(holes >= 0) & (holes < own.face_count)]
         if not holes.size:
@@ -115,7 +134,7 @@ class _Reader:
         self.notes.append(f"{name} has {holes.size} holes: those faces were left out, their edges are boundaries")
         keep = np.ones(own.face_count, bool)
         keep[holes] = False
-        return own.keep(keep)
+        return own.keep(keep) if keep.any() else None
 
     def remark(self, mesh: Any, name: str) -> None:
         scheme = self.get(mesh.GetSubdivisionSchemeAttr())
@@ -133,7 +152,7 @@ class _Reader:
         lengths = self.array(mesh.GetCreaseLengthsAttr(), np.int64)
         given = self.array(mesh.GetCreaseSharpnessesAttr(), np.float64)
         edges = np.maximum(lengths - 1, 0)
-        if lengths.sum() != len(indices) or len(given) not in (len(lengths), edges.sum()):
+        if np.any(lengths < 2) or lengths.sum() != len(indices) or len(given) not in (len(lengths), edges.sum()):
             raise InputError(f"{self.path}: the creases of {name} do not fit their lengths and sharpnesses")
         ends = np.cumsum(lengths)
         pairs = [
@@ -158,7 +177,8 @@ class _Reader:
         if weights.size:
             if len(weights) != len(points):
                 raise InputError(f"{self.path}: {name} has {len(weights)} weights for {len(points)} points")
-            points = np.concatenate([points * weights[:, None], weights[:, None]], axis=1)
+            with np.errstate(invalid="ignore"):  # what is not finite is told with the name of the surface
+                points = np.concatenate([points * weights[:, None], weights[:, None]], axis=1)
         control = points.reshape(nv, nu, -1).swapaxes(0, 1)  # u varies fastest
         axes = ((patch.GetUOrderAttr, patch.GetUKnotsAttr), (patch.GetVOrderAttr, patch.GetVKnotsAttr))
         degrees = tuple(int(self.get(order(), 0)) - 1 for order, _ in axes)
