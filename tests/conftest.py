@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
 import os
+import shutil
+import tempfile
 from pathlib import Path
 
 import jax
@@ -12,6 +15,12 @@ from hypothesis import HealthCheck, settings
 from jaxtyping import install_import_hook
 
 jax.config.update("jax_enable_x64", True)
+
+# Commands that tests start as processes of their own find what was compiled before them.
+COMPILED = tempfile.mkdtemp(prefix="slefejax-tests-")
+atexit.register(shutil.rmtree, COMPILED, ignore_errors=True)
+os.environ["JAX_COMPILATION_CACHE_DIR"] = COMPILED
+jax.config.update("jax_compilation_cache_dir", COMPILED)
 
 install_import_hook(
     [f"slefejax.{name}" for name in ("arguments", "bezier", "edges", "error", "layout", "slefe", "tessellator", "view")]

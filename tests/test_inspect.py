@@ -12,7 +12,7 @@ from matplotlib.image import imread
 from slefejax import NoOpenGLError
 from slefejax.experiments import inspect as inspecting
 from slefejax.experiments.cli import main
-from tests.test_io import BV, OBJ, write
+from tests.test_io import OBJ, write
 from tests.test_scene import CUBE
 
 SMALL = ["--size", "180x120"]
@@ -65,12 +65,17 @@ def test_inspect_counts_and_draws(device, capsys, tmp_path):
 
 
 @pytest.mark.gl
-def test_inspect_of_patches_and_of_the_teapot(device, capsys, tmp_path):
-    write(tmp_path, "a.bv", BV)
+def test_inspect_of_patches(device, capsys, tmp_path, teapot):
+    """Patch lists: the teapot's, once as a .bv file with a polyhedron beside."""
+    points = [" ".join(map(str, p)) for p in teapot.patches()[:2].reshape(2, 16, 3).reshape(-1, 3).tolist()]
+    text = "1\n3 1\n2 0 0  3 0 0  2 1 0\n3 0 1 2\n" + "".join(
+        f"5\n3 3\n{'  '.join(points[k : k + 16])}\n" for k in (0, 16)
+    )
+    write(tmp_path, "a.bv", text)
     row = run_json(capsys, "inspect", "a.bv", *SMALL)["rows"][0]
-    assert row["bi_degree"] == "3 x 3, rational"
-    assert row["kinds"] == "2 triangle, 6 bezier"
-    assert row["faces"] == 2
+    assert row["bi_degree"] == "3 x 3"
+    assert row["kinds"] == "1 triangle, 2 bezier"
+    assert row["faces"] == 1
     row = run_json(capsys, "inspect", "teapot", *SMALL)["rows"][0]
     assert (row["patches"], row["common_edges"], row["free_edges"], row["edges_of_no_length"]) == (32, 52, 16, 8)
 
