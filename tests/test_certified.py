@@ -296,6 +296,7 @@ def test_gradients_on_the_teapot(teapot, rng):
     check_gradients(jnp.asarray(points), jnp.asarray([4.5, -6.0, 4.0]), 2)
 
 
+@pytest.mark.slow
 def test_forward_mode_and_second_derivatives(rng, main_view):
     """Along one direction: slopes of both modes agree, and the slope of the slope with differences of it."""
     points, direction = jnp.asarray(rng.normal(size=(2, 4, 2, 2, 3)) + [0.0, 0.0, 1.2])

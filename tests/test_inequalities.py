@@ -115,7 +115,7 @@ def test_bilinear_products(rng):
             assert values[0] * values[1] == pytest.approx(values[2], rel=1e-12)
 
 
-@pytest.mark.parametrize("seed", [11, 30])
+@pytest.mark.parametrize("seed", [11, pytest.param(30, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("any_triangle", [False, True])
 def test_both_forms_of_nets_are_one_computation(seed, any_triangle):
     hostile = case(seed, 64)

@@ -96,7 +96,7 @@ def test_published_figures_of_the_teapot(teapot, main_view):
         assert error.max() == pytest.approx(largest, abs=0.006)
 
 
-@pytest.mark.parametrize("levels", [(1, 1), (2, 3), (4, 4)])
+@pytest.mark.parametrize("levels", [(1, 1), (2, 3), pytest.param((4, 4), marks=pytest.mark.slow)])
 def test_against_dense_loops(levels, rng):
     """Within 1 %, from below but for what the loops themselves miss; perspective, the screen's edge, rational."""
     view = View(Camera.look_at((0, -5, 1), (0, 0, 0)), 300, 200)
@@ -158,6 +158,7 @@ def test_minimal_factors_of_the_teapot(teapot, main_view):
         assert np.all(sampled_error(teapot.patches(), np.full(32, n), main_view)[too_small] > 0.5)
 
 
+@pytest.mark.slow
 def test_minimal_factors_far_beyond_the_hardware(teapot, main_view):
     factors = minimal_factors(teapot.patches()[:4], main_view, tolerance=1e-3)
     assert factors.min() > 200
