@@ -13,6 +13,7 @@ from slefejax.factors import Factors, tessellation_factors
 from slefejax.mesh import Mesh
 from slefejax.minimal import minimal_factors, minimal_pairs
 from slefejax.scene import Scene, load
+from slefejax.skinning import dual_quaternion_blend, linear_blend
 from slefejax.slefe import Slefe, SlefeTable, slefe, slefe_boxes, slefe_table
 from slefejax.supremum import sampled_error, worst_points
 from slefejax.tiles import slefe_tiles
@@ -33,6 +34,8 @@ __all__ = [
     "bspline_slefe",
     "bspline_slefe_boxes",
     "convert",
+    "dual_quaternion_blend",
+    "linear_blend",
     "load",
     "minimal_factors",
     "minimal_pairs",

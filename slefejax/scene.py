@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -40,6 +41,8 @@ from slefejax.io.ply import read_ply
 from slefejax.io.rhino import read_3dm
 from slefejax.io.usd import read_usd
 from slefejax.mesh import Mesh
+from slefejax.rig import Deformation, Rig
+from slefejax.skinning import linear_blend
 from slefejax.view import Camera, Vector
 
 
@@ -54,6 +57,7 @@ class Scene:
     faces      : ``(patches,)``, the face, the surface or the patch of the file that each comes from
     kinds      : ``(patches,)``, numbers in ``slefejax.conversion.patchwork.KINDS``
     conversion : of a control mesh: how patches are made of it, differentiably, in any pose; None for other scenes
+    rig        : what moves the control mesh; None if nothing does
     """
 
     name: str
@@ -64,10 +68,29 @@ class Scene:
     faces: Int[np.ndarray, "patches"] | None = None
     kinds: Int[np.ndarray, "patches"] | None = None
     conversion: Conversion | None = None
+    rig: Rig | None = None
 
     def patches(self) -> Float[np.ndarray, "patches nu nv dim"]:
         """Control points at rest, ``(patches, du+1, dv+1, 3)``, u before v."""
         return self.control
+
+    def vertices(self, time: Any, deform: Deformation = linear_blend) -> Any:
+        """Positions ``(vertices, 3)`` of the control mesh at a time, by JAX; differentiable by the time.
+
+        deform : how bones move vertices: ``linear_blend``, ``dual_quaternion_blend``, or a function like them
+
+        Raises InputError for a scene without a control mesh, and for a time before the first or after the last sample.
+        """
+        if self.conversion is None:
+            raise InputError(f"{self.name} is no control mesh: there are no vertices to move")
+        rest = jnp.asarray(self.conversion.mesh.vertices)
+        return rest if self.rig is None else self.rig.posed(rest, time, deform)
+
+    def pose(self, time: Any, deform: Deformation = linear_blend) -> Any:
+        """Control points of all patches at a time, ``(patches, du+1, dv+1, 3)``: those at rest if nothing moves."""
+        if self.rig is None or self.conversion is None:
+            return self.control
+        return self.conversion.patchwork.patches(self.vertices(time, deform))
 
     @cached_property
     def edge_numbers(self) -> Int[np.ndarray, "patches 4"]:
@@ -81,7 +104,13 @@ class Scene:
 
     def left_out(self) -> tuple[str, ...]:
         """What is not computed because this scene does not need it, a sentence each."""
-        left = ["skinning and shape keys: the scene does not move"]
+        left = []
+        if self.rig is None:
+            left.append("skinning and shape keys: the scene does not move")
+        elif self.rig.skeleton is None:
+            left.append("skinning: there is no skeleton")
+        elif self.rig.keys is None:
+            left.append("shape keys: there are none")
         if self.control.shape[-1] == 3:
             left.append("weights: the patches are polynomial")
         if self.conversion is not None and self.conversion.finer.sizes.min() > 3:
@@ -203,7 +232,10 @@ def _scene(path: Path, content: Content, scheme: str, alpha: float, steps: int |
         found += factors
     faces, kinds = (np.concatenate([getattr(part, name) for part in parts]) for name in ("faces", "kinds"))
     alone = conversion if len(parts) == 1 else None
-    return Scene(path.stem, control, None, notes + found, content.up, faces, kinds, alone)
+    rig = content.rig if alone is not None else None
+    if content.rig is not None and rig is None:
+        found += ("the rig was left out: the scene has surfaces besides its control mesh",)
+    return Scene(path.stem, control, None, notes + found, content.up, faces, kinds, alone, rig)
 
 
 def _converted(

@@ -25,7 +25,15 @@ jax.config.update("jax_compilation_cache_dir", COMPILED)
 install_import_hook(
     [f"slefejax.{name}" for name in ("arguments", "bezier", "edges", "error", "layout", "slefe", "tessellator", "view")]
     + ["slefejax.estimate", "slefejax.scene", "slefejax.slefe_tables", "slefejax.gpu.renderer", "slefejax.rings"]
-    + ["slefejax.mesh", "slefejax.defects", "slefejax.stencils", "slefejax.framing", "slefejax.conversion"],
+    + [
+        "slefejax.rig",
+        "slefejax.skinning",
+        "slefejax.mesh",
+        "slefejax.defects",
+        "slefejax.stencils",
+        "slefejax.framing",
+        "slefejax.conversion",
+    ],
     "beartype.beartype",
 )
 

@@ -26,6 +26,7 @@ LAYERS = [
         "fewest",
         "mesh",
         "stencils",
+        "skinning",
     },
     {
         "slefe",
@@ -42,6 +43,7 @@ LAYERS = [
         "triangles",
         "error",
         "defects",
+        "rig",
         "conversion",
         "framing",
         "io",

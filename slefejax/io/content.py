@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from slefejax.errors import InputError
 from slefejax.mesh import Mesh
+from slefejax.rig import Rig
 
 Y_UP, Z_UP = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
@@ -40,6 +41,7 @@ class Content:
     patches : Bézier patches, ``(du+1, dv+1, 3)`` each, or 4 at the end if rational
     up      : the direction that is up, by the format's custom or the file's own word
     notes   : sentences about what was left out
+    rig     : what moves the mesh, or None
     """
 
     mesh: Mesh | None = None
@@ -47,6 +49,7 @@ class Content:
     patches: tuple[np.ndarray, ...] = ()
     up: tuple[float, float, float] = Z_UP
     notes: tuple[str, ...] = ()
+    rig: Rig | None = None
 
 
 def read_bytes(path: Path) -> bytes:

@@ -12,6 +12,7 @@ import numpy as np
 
 from slefejax.errors import InputError
 from slefejax.io.content import Y_UP, Z_UP, Content, Spline, joined, read_bytes
+from slefejax.io.usd_skel import SkelReader
 from slefejax.mesh import Mesh
 
 
@@ -31,7 +32,8 @@ def read_usd(path: Path) -> Content:
         stage = usd.Stage.Open(str(path))
     except Tf.ErrorException:
         raise InputError(f"{path} is no USD file that can be read: is it complete?") from None
-    reader = _Reader(path, usd.TimeCode.EarliestTime(), geometry)
+    time = usd.TimeCode.EarliestTime()
+    reader = _Reader(path, time, geometry, SkelReader(path, stage, time))
     walk = iter(usd.PrimRange.Stage(stage, usd.TraverseInstanceProxies()))
     for prim in walk:
         if not reader.take(prim):
@@ -41,8 +43,9 @@ def read_usd(path: Path) -> Content:
 
 
 class _Reader:
-    def __init__(self, path: Path, time: Any, geometry: Any) -> None:
-        self.path, self.time, self.geometry = path, time, geometry
+    def __init__(self, path: Path, time: Any, geometry: Any, skeletons: SkelReader) -> None:
+        self.path, self.time, self.geometry, self.skeletons = path, time, geometry, skeletons
+        self.paths: list[str] = []
         self.cache = geometry.XformCache(time)
         self.meshes: list[Mesh] = []
         self.counts: list[int] = []
@@ -57,7 +60,10 @@ class _Reader:
             said = ", ".join(f"{count} of {name}" for name, count in sorted(self.others.items()))
             self.notes.append(f"geometry of other kinds was left out: {said}")
         mesh = joined(self.meshes, self.counts) if self.meshes else None
-        return Content(mesh, tuple(self.splines), up=up, notes=tuple(self.notes))
+        counts = [mesh.vertex_count for mesh in self.meshes]
+        starts = np.cumsum([0, *counts])[:-1].tolist()
+        rig = self.skeletons.rig(list(zip(self.paths, counts, starts, strict=True)))
+        return Content(mesh, tuple(self.splines), up=up, notes=tuple(self.notes), rig=rig)
 
     def take(self, prim: Any) -> bool:
         """One prim; whether what lies below it is wanted too."""
@@ -91,8 +97,10 @@ class _Reader:
     def points(self, shape: Any) -> np.ndarray:
         """The points of a shape in the coordinates of the stage; USD multiplies row vectors from the left."""
         own = self.array(shape.GetPointsAttr(), np.float64).reshape(-1, 3)
-        matrix = np.array(self.cache.GetLocalToWorldTransform(shape.GetPrim()), np.float64)
-        return own if np.array_equal(matrix, np.eye(4)) else own @ matrix[:3, :3] + matrix[3, :3]
+        place = self.skeletons.place(str(shape.GetPath()))
+        if place is None:
+            place = np.array(self.cache.GetLocalToWorldTransform(shape.GetPrim()), np.float64).T
+        return own if np.array_equal(place, np.eye(4)) else own @ place[:3, :3].T + place[:3, 3]
 
     def mesh(self, mesh: Any) -> None:
         name = str(mesh.GetPath())
@@ -123,6 +131,7 @@ class _Reader:
         left = self.without_holes(own, mesh, name)
         if left is not None:
             self.meshes.append(left)
+            self.paths.append(name)
             self.counts.append(own.face_count)
             self.remark(mesh, name)
 

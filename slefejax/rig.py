@@ -1,0 +1,222 @@
+"""Skeletons, and how their joints move over time (MATH.md, section 8).
+
+A skeleton is a tree of joints. Each has a *bind transform*, from its own coordinates to those of the mesh at rest, and,
+in a pose, a *local transform*, from its coordinates to its parent's. The world transform of a joint is that of its
+parent times its local one, and what moves the vertices is world times inverse bind (``Skeleton.transforms``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Float, Int
+
+from slefejax.errors import InputError
+from slefejax.skinning import Influences, ShapeKeys, rotation_matrices
+
+Deformation = Callable[[Any, Any, Influences], Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Skeleton:
+    """A tree of joints; build it with ``Skeleton.of``.
+
+    names   : of the joints
+    parents : ``(joints,)``, number of the parent, -1 for a root
+    bind    : ``(joints, 4, 4)``, from joint to mesh coordinates at rest, column vectors
+    """
+
+    names: tuple[str, ...]
+    parents: Int[np.ndarray, "joints"]
+    bind: Float[np.ndarray, "joints 4 4"]
+
+    @staticmethod
+    def of(names: Any, parents: Any, bind: Any) -> Skeleton:
+        """Checked. Raises InputError, with the joint's name, for a parent that does not exist, a cycle, and a bind
+        transform that is missing or cannot be inverted.
+        """
+        names, parents = tuple(names), np.asarray(parents, np.int64)
+        if bind is None or len(np.shape(bind)) != 3 or np.shape(bind)[1:] != (4, 4):
+            raise InputError(
+                "a skeleton needs a bind transform, 4 x 4, of every joint: without it there is no rest pose"
+            )
+        bind = np.asarray(bind, np.float64)
+        if not len(names) == len(parents) == len(bind):
+            raise InputError(
+                f"a skeleton needs as many parents and bind transforms as joints: there are {len(names)} joints,"
+                f" {len(parents)} parents, {len(bind)} bind transforms"
+            )
+        bad = np.flatnonzero((parents < -1) | (parents >= len(names)))
+        if bad.size:
+            raise InputError(f"joint {names[bad[0]]!r} has the parent {parents[bad[0]]}, but there are {len(names)}")
+        skeleton = Skeleton(names, parents, bind)
+        deepest = skeleton.depth
+        cycle = np.flatnonzero(deepest < 0)
+        if cycle.size:
+            raise InputError(f"joint {names[cycle[0]]!r} is its own ancestor: the joints must form a tree")
+        singular = np.flatnonzero(~(np.abs(np.linalg.det(bind[:, :3, :3])) > 0) | ~np.isfinite(bind).all(axis=(1, 2)))
+        if singular.size:
+            raise InputError(f"the bind transform of joint {names[singular[0]]!r} cannot be inverted")
+        return skeleton
+
+    @cached_property
+    def depth(self) -> Int[np.ndarray, "joints"]:
+        """Ancestors of every joint; -1 for those that are on a cycle or hang on one."""
+        depth = np.where(self.parents < 0, 0, -1)
+        for _ in range(len(self.parents)):
+            known = (depth < 0) & (depth[self.parents] >= 0)
+            if not known.any():
+                break
+            depth[known] = depth[self.parents[known]] + 1
+        return depth
+
+    @cached_property
+    def inverse_bind(self) -> Float[np.ndarray, "joints 4 4"]:
+        """From mesh to joint coordinates at rest."""
+        return np.linalg.inv(self.bind)
+
+    @cached_property
+    def rest(self) -> Float[np.ndarray, "joints 4 4"]:
+        """The local transforms of the bind pose."""
+        parent = np.where((self.parents >= 0)[:, None, None], self.inverse_bind[self.parents], np.eye(4))
+        return parent @ self.bind
+
+    def world(self, local: Any) -> Any:
+        """``(joints, 4, 4)`` world transforms of local ones, one generation after the other; differentiable."""
+        generations = [np.flatnonzero(self.depth == d) for d in range(int(self.depth.max()) + 1)]
+        found, place = local[generations[0]], np.empty(len(self.parents), np.int64)
+        place[generations[0]] = np.arange(len(generations[0]))
+        done = len(generations[0])
+        for joints in generations[1:]:
+            own = jnp.einsum("jab,jbc->jac", found[place[self.parents[joints]]], local[joints])
+            found = jnp.concatenate([found, own])
+            place[joints] = done + np.arange(len(joints))
+            done += len(joints)
+        return found[place]
+
+    def transforms(self, local: Any) -> Any:
+        """``(joints, 3, 4)``: what moves vertices of the rest pose, world times inverse bind."""
+        world = self.world(local)
+        return jnp.einsum("jab,jbc->jac", world, jnp.asarray(self.inverse_bind, world.dtype))[:, :3]
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Samples of a pose over time, in between interpolated: translations and scales linearly, rotations along the arc.
+
+    times        : ``(samples,)``, growing, in the units of the file (frames or seconds)
+    translations : ``(samples, joints, 3)``;  rotations : ``(samples, joints, 4)`` quaternions (w, x, y, z)
+    scales       : ``(samples, joints, 3)``, or None for none
+    keys         : ``(samples, keys)`` weights of shape keys, or None for none
+    """
+
+    times: Float[np.ndarray, "samples"]
+    translations: Float[np.ndarray, "_ joints 3"] | None = None
+    rotations: Float[np.ndarray, "_ joints 4"] | None = None
+    scales: Float[np.ndarray, "_ joints 3"] | None = None
+    keys: Float[np.ndarray, "_ keys"] | None = None
+
+    def __post_init__(self) -> None:
+        if len(self.times) == 0 or np.any(np.diff(self.times) <= 0) or not np.isfinite(self.times).all():
+            raise InputError("the times of a motion must be finite numbers that grow, at least one")
+        for name in ("translations", "rotations", "scales", "keys"):
+            values = getattr(self, name)
+            if values is not None and len(values) != len(self.times):
+                raise InputError(f"a motion has {len(self.times)} times but {len(values)} {name}")
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """The first and the last time."""
+        return float(self.times[0]), float(self.times[-1])
+
+    def check(self, time: Any) -> None:
+        """Raise InputError for a time outside of the motion's own; a traced time cannot be looked at."""
+        first, last = self.span
+        if not isinstance(time, Tracer) and len(self.times) > 1 and not first <= float(time) <= last:
+            raise InputError(f"time {float(time):g} lies outside of the motion, {first:g} to {last:g}")
+
+    def _between(self, time: Any) -> tuple[Any, Any]:
+        times = jnp.asarray(self.times)
+        if len(self.times) == 1:
+            return 0, jnp.zeros_like(jnp.asarray(time, float))
+        k = jnp.clip(jnp.searchsorted(times, time, side="right") - 1, 0, len(self.times) - 2)
+        return k, jnp.clip((time - times[k]) / (times[k + 1] - times[k]), 0.0, 1.0)
+
+    def local(self, time: Any) -> Any:
+        """``(joints, 4, 4)`` local transforms at a time; they stay before the first and after the last."""
+        k, share = self._between(time)
+        n = min(1, len(self.times) - 1)
+
+        def linear(values: Any) -> Any:
+            values = jnp.asarray(values)
+            return (1 - share) * values[k] + share * values[k + n]
+
+        turn = rotation_matrices(_arc(jnp.asarray(self.rotations)[k], jnp.asarray(self.rotations)[k + n], share))
+        if self.scales is not None:
+            turn = turn * linear(self.scales)[:, None, :]
+        upper = jnp.concatenate([turn, linear(self.translations)[:, :, None]], axis=2)
+        last = jnp.broadcast_to(jnp.asarray([0.0, 0.0, 0.0, 1.0], upper.dtype), (len(upper), 1, 4))
+        return jnp.concatenate([upper, last], axis=1)
+
+    def weights(self, time: Any) -> Any:
+        """``(keys,)`` weights of the shape keys at a time."""
+        k, share = self._between(time)
+        values = jnp.asarray(self.keys)
+        return (1 - share) * values[k] + share * values[k + min(1, len(self.times) - 1)]
+
+
+def _arc(p: Any, q: Any, share: Any) -> Any:
+    """Spherical interpolation of unit quaternions, the short way; straight where they are close."""
+    cosine = jnp.sum(p * q, axis=-1, keepdims=True)
+    q, cosine = jnp.where(cosine < 0, -q, q), jnp.abs(cosine)
+    near = cosine > 1.0 - 1e-8
+    angle = jnp.arccos(jnp.where(near, 0.0, cosine))
+    sine = jnp.sin(angle)
+    a = jnp.where(near, 1.0 - share, jnp.sin((1.0 - share) * angle) / sine)
+    b = jnp.where(near, share, jnp.sin(share * angle) / sine)
+    return a * p + b * q
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """What moves a control mesh; whatever is None is not there and is not computed.
+
+    skeleton, influences : joints and which of them move each vertex
+    keys                 : shape keys
+    motion               : poses over time
+    rate                 : units of time (frames) a second
+    """
+
+    skeleton: Skeleton | None = None
+    influences: Influences | None = None
+    keys: ShapeKeys | None = None
+    motion: Motion | None = None
+    rate: float = 24.0
+
+    def posed(self, rest: Any, time: Any, deform: Deformation) -> Any:
+        """Rest positions ``(vertices, 3)`` moved to where they are at a time: shape keys first, then bones.
+
+        Raises InputError for a time outside of the motion.
+        """
+        if self.motion is None:
+            return rest
+        self.motion.check(time)
+        if self.keys is not None and self.motion.keys is not None:
+            rest = rest + self.keys.offsets(self.motion.weights(time))
+        if self.skeleton is None or self.influences is None or self.motion.rotations is None:
+            return rest
+        return deform(rest, self.skeleton.transforms(self.motion.local(time)), self.influences)
+
+    def __post_init__(self) -> None:
+        if (self.skeleton is None) != (self.influences is None):
+            raise InputError("a rig needs both a skeleton and the influences of its joints, or neither")
+        if self.skeleton is not None and self.influences is not None:
+            joints = len(self.skeleton.names)
+            if self.influences.table.columns != joints:
+                raise InputError(f"influences are of {self.influences.table.columns} joints, the skeleton has {joints}")
