@@ -36,6 +36,7 @@ from slefejax.framing import PAPERS_SHARE, frame_share
 from slefejax.io.bpt import read_bpt
 from slefejax.io.bv import read_bv
 from slefejax.io.content import Z_UP, Content, Spline
+from slefejax.io.makehuman import read_makehuman
 from slefejax.io.obj import read_obj
 from slefejax.io.ply import read_ply
 from slefejax.io.rhino import read_3dm
@@ -146,8 +147,8 @@ def load(
     group: Any = None,
     drop_defects: Any = False,
 ) -> Scene:
-    """A scene from a file (.obj, .ply, .usd…, .3dm, .bpt, .bv) or by its built-in name (``"teapot"``,
-    ``"twisted-quad"``, ``"steep-patch"``).
+    """A scene from a file (.obj, .ply, .usd…, .3dm, .bpt, .bv), a folder in MakeHuman's formats, or by its built-in
+    name (``"teapot"``, ``"twisted-quad"``, ``"steep-patch"``).
 
     scheme, alpha, steps : of control meshes: how patches are made of them (``slefejax.conversion.scheme.convert``)
     group        : of .obj: read only the faces of these groups or objects
@@ -190,6 +191,8 @@ def load(
 def read(path: Path, group: Any = None) -> Content:
     """What a file holds, before anything is made of it. Raises InputError as ``load`` does."""
     reader = READERS.get(path.suffix.lower())
+    if path.is_dir() and (path / "base.obj").exists():
+        return read_makehuman(path, group)
     if path.suffix.lower() == ".fbx":
         raise InputError(f"{path}: FBX is not supported: export the control mesh as .obj or .usd")
     if reader is None:

@@ -17,14 +17,14 @@ class Numbers:
     Raises InputError, with the file and the line, for anything that is not what is asked for.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, path: Path, comment: str | None = None) -> None:
+        self._path, self._comment = path, comment
         self._items = self._split(_text(path))
         self.line = 1
 
     def _split(self, text: str) -> Iterator[tuple[int, str]]:
         for number, line in enumerate(text.splitlines(), 1):
-            for item in line.split():
+            for item in (line if self._comment is None else line.split(self._comment, 1)[0]).split():
                 yield number, item
 
     def fail(self, what: str) -> InputError:
