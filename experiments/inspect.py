@@ -157,7 +157,7 @@ def _picture(scene: Scene, view: View, tolerance: float, run: Run) -> tuple[Row,
     kinds = np.full(len(patches), KINDS.index("bezier")) if scene.kinds is None else scene.kinds
     painted = np.where(shown, np.append(kinds, 0)[seen.patch], -1)
     factor = np.where(shown, np.append(np.asarray(factors.factor, float), 0.0)[seen.patch], np.nan)
-    panels = Panels(_outlines(scene, view), painted, KINDS, factor, error)
+    panels = Panels(_outlines(scene, view), seen.patch, painted, KINDS, factor, error)
     write_inspect_figure(run.file("inspect.png"), panels, _title(scene), tolerance)
     return row, notes
 

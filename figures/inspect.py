@@ -32,11 +32,13 @@ class Panels:
     """What is shown. Images have row 0 at the bottom.
 
     outlines : polygons ``(corners, 2)`` in pixels, the furthest first
+    patch    : number of the patch at every pixel, -1 for background
     kind     : number in ``kinds`` of the patch at every pixel, -1 for background
     factor   : of the patch at every pixel, NaN for background;  error : pixels, NaN for background
     """
 
     outlines: list[np.ndarray]
+    patch: np.ndarray
     kind: np.ndarray
     kinds: tuple[str, ...]
     factor: np.ndarray
@@ -92,8 +94,8 @@ def _kinds(axes: Any, panels: Panels, box: Any) -> None:
 
 
 def _edges(axes: Any, panels: Panels, box: Any) -> None:
-    """Thin lines where one patch ends, seen by a change of its factor or its kind."""
-    value = np.nan_to_num(panels.factor[box], nan=-1.0)
+    """Thin lines where one patch ends."""
+    value = panels.patch[box]
     change = np.zeros(value.shape, bool)
     change[:, 1:] |= value[:, 1:] != value[:, :-1]
     change[1:] |= value[1:] != value[:-1]

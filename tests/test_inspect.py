@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 
 import numpy as np
@@ -12,20 +11,9 @@ from matplotlib.image import imread
 from slefejax import NoOpenGLError
 from slefejax.experiments import inspect as inspecting
 from slefejax.experiments.cli import main
+from tests.test_cli import SMALL, in_an_empty_folder, run_json  # noqa: F401
 from tests.test_io import OBJ, write
 from tests.test_scene import CUBE
-
-SMALL = ["--size", "180x120"]
-
-
-@pytest.fixture(autouse=True)
-def in_an_empty_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-
-
-def run_json(capsys, *arguments):
-    assert main([*arguments, "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
 
 
 @pytest.mark.gl

@@ -16,7 +16,7 @@ ARM = """#usda 1.0
 (
     timeCodesPerSecond = 30
 )
-def SkelRoot "root"
+def SkelRoot "actor"
 {
     double3 xformOp:translate = (5, 0, 0)
     uniform token[] xformOpOrder = ["xformOp:translate"]
@@ -29,7 +29,7 @@ def SkelRoot "root"
         uniform matrix4d[] restTransforms = [
             ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)),
             ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (2, 0, 0, 1))]
-        rel skel:animationSource = </root/bones/walk>
+        rel skel:animationSource = </actor/bones/walk>
         def SkelAnimation "walk"
         {
             uniform token[] joints = ["upper/lower"]
@@ -54,9 +54,9 @@ def SkelRoot "root"
             interpolation = "vertex"
         )
         matrix4d primvars:skel:geomBindTransform = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
-        rel skel:skeleton = </root/bones>
+        rel skel:skeleton = </actor/bones>
         uniform token[] skel:blendShapes = ["wide"]
-        rel skel:blendShapeTargets = </root/skin/wide>
+        rel skel:blendShapeTargets = </actor/skin/wide>
         def BlendShape "wide"
         {
             uniform vector3f[] offsets = [(0, 1, 0)] (
@@ -146,10 +146,10 @@ def test_scenes_that_do_not_move(tmp_path, teapot):
     ("old", "new", "says"),
     [
         ('/lower"]\n        uniform matrix4d[]', '/lower", "hand"]\n uniform matrix4d[]', "no bind transform of each"),
-        ("Indices = [0, 0, 0, 1", "Indices = [0, 0, 0, 7", "/root/skin has a weight for joint 7, but is bound to 2"),
+        ("Indices = [0, 0, 0, 1", "Indices = [0, 0, 0, 7", "/actor/skin has a weight for joint 7, but is bound to 2"),
         ("jointWeights = [1, 0, 0.5", "jointWeights = [0, 0, 0.5", "weights of vertex 0 are all zero"),
         ("jointWeights = [1, 0, 0.5", "jointWeights = [1, 0.5", "do not fit its 6 points|elements"),
-        ("pointIndices = [5]", "pointIndices = [6]", "/root/skin: blend shape 'wide' moves point 6"),
+        ("pointIndices = [5]", "pointIndices = [6]", "/actor/skin: blend shape 'wide' moves point 6"),
         ("pointIndices = [5]", "pointIndices = [5, 4]", "'wide' needs offsets"),
         ('skel:blendShapes = ["wide"]', 'skel:blendShapes = ["wide", "tall"]', "names 2 blend shapes, but has 1"),
     ],

@@ -12,7 +12,7 @@ from jaxtyping import Int
 from slefejax.arguments import check_positive, is_whole
 from slefejax.conversion.acc import ALPHA, acc_patches
 from slefejax.conversion.catmull_clark import refine
-from slefejax.conversion.patchwork import KINDS, Patchwork
+from slefejax.conversion.patchwork import Patchwork
 from slefejax.conversion.tangents import tangent_tables
 from slefejax.errors import InputError
 from slefejax.mesh import Mesh
@@ -57,12 +57,6 @@ class Conversion:
         du, dv = self._tangents
         rest = np.shape(vertices)[1:]
         return du(vertices).reshape(-1, 3, 4, *rest), dv(vertices).reshape(-1, 4, 3, *rest)
-
-    @property
-    def kind_counts(self) -> dict[str, int]:
-        """How many patches of each kind there are."""
-        counts = np.bincount(self.patchwork.kinds, minlength=len(KINDS)).tolist()
-        return {kind: count for kind, count in zip(KINDS, counts, strict=True) if count}
 
 
 def convert(mesh: Mesh, scheme: str = "auto", alpha: Any = ALPHA, steps: Any = None) -> Conversion:
