@@ -12,7 +12,9 @@ from slefejax.errors import InputError, NoOpenGLError
 from slefejax.factors import Factors, tessellation_factors
 from slefejax.mesh import Mesh
 from slefejax.minimal import minimal_factors, minimal_pairs
+from slefejax.rig import Pose
 from slefejax.scene import Scene, load
+from slefejax.session import Session
 from slefejax.skinning import dual_quaternion_blend, linear_blend
 from slefejax.slefe import Slefe, SlefeTable, slefe, slefe_boxes, slefe_table
 from slefejax.supremum import sampled_error, worst_points
@@ -27,7 +29,9 @@ __all__ = [
     "InputError",
     "Mesh",
     "NoOpenGLError",
+    "Pose",
     "Scene",
+    "Session",
     "Slefe",
     "SlefeTable",
     "View",

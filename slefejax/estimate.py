@@ -49,9 +49,23 @@ def slefe_factor(
     segments: tuple[int, int],
 ) -> Float[Array, "lanes"]:
     """max(tau_xy, tau_z) (2012, eq 10), at least 1 where a tile is on the screen, 0 elsewhere."""
-    lower, upper = enclose_patch(control, segments)
+    boxes = enclose_patch(control, segments)
+    return factor_of_boxes(boxes, control, projection, tolerance, depth_tolerance, k, segments)
+
+
+def factor_of_boxes(
+    boxes: tuple[Any, Any],
+    control: Any,
+    projection: Projection,
+    tolerance: Any,
+    depth_tolerance: Any,
+    k: Any,
+    segments: tuple[int, int],
+) -> Float[Array, "lanes"]:
+    """The same from slefe boxes that are there already; of control points only rational ones are looked at."""
+    lower, upper = boxes
     visible = tiles_on_screen(lower, upper, projection.frustum)
-    if control.shape[2] == 4:
+    if lower.shape[2] == 4:
         width, depth = rational_widths(control, projection, segments, with_depth=depth_tolerance is not None)
     else:
         width, depth = projected_widths(lower, upper, projection, with_depth=depth_tolerance is not None)

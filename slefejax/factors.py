@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from typing import Any
 
 import jax
@@ -20,7 +20,7 @@ from slefejax.certified import certified_factors
 from slefejax.drawn import drawn_levels
 from slefejax.edges import check_edge_numbers, edge_maxima, shared_edges
 from slefejax.errors import InputError
-from slefejax.estimate import Projection, slefe_factor
+from slefejax.estimate import Projection, factor_of_boxes, slefe_factor
 from slefejax.rings import Pattern, direct3d11
 from slefejax.rules import RULES, SETTINGS, on_screen
 from slefejax.tiles import check_weights
@@ -40,14 +40,14 @@ class Factors:
     patches : the control points, from which shared edges are found when they are asked for; None inside a trace
     known   : the result of ``slefejax.edges.shared_edges`` if it is there already
     pairs   : ``(patches, 2)``, levels along u and v with few cells, if they were asked for (``anisotropic``)
-    certificate : of certified factors: decides what grids and transition rings keep the tolerance
+    certify : of certified factors: makes what decides which grids and transition rings keep the tolerance
     """
 
     factor: Float[Array | np.ndarray, "patches"]
     patches: Any = field(default=None, repr=False)
     known: Int[np.ndarray, "patches 4"] | None = field(default=None, repr=False)
     pairs: Int[np.ndarray, "patches 2"] | None = field(default=None, repr=False)
-    certificate: Certificate | None = field(default=None, repr=False)
+    certify: Callable[[], Certificate] | None = field(default=None, repr=False)
 
     @cached_property
     def levels(self) -> Int[np.ndarray, "patches"]:
@@ -90,17 +90,18 @@ class Factors:
 
     @cached_property
     def _drawn(self) -> tuple[np.ndarray, np.ndarray]:
-        if self.certificate is not None:
+        if self.certify is not None:
             inner = np.repeat(self.levels[:, None], 2, axis=1) if self.pairs is None else self.pairs
-            return drawn_levels(self.certificate, inner, self.edge_numbers, self.pairs is not None)
+            return drawn_levels(self.certify(), inner, self.edge_numbers, self.pairs is not None)
         return np.repeat(self.levels[:, None], 2, axis=1), edge_maxima(self.levels, self.edge_numbers)
 
     def scaled(self, scale: float) -> Factors:
         """The same with every factor multiplied by ``scale`` > 0, to see whether less would do."""
         check_positive("a scale", scale)
-        certificate = None if self.certificate is None else self.certificate.scaled(scale)
+        own = self.certify
+        certify = None if own is None else lambda: own().scaled(scale)
         pairs = None if self.pairs is None else np.ceil(self.pairs * scale).astype(np.int64)
-        return replace(self, factor=self.factor * scale, pairs=pairs, certificate=certificate)
+        return replace(self, factor=self.factor * scale, pairs=pairs, certify=certify)
 
     def tree_flatten(self) -> tuple[tuple[Any], None]:
         """For JAX: the factor is data; edge numbers belong to concrete patches and are left behind."""
@@ -172,49 +173,133 @@ def tessellation_factors(
     """
     patches = check_patches(patches)
     check_weights(patches)
-    _check_method(method, patches.shape[3], depth_tolerance, setting)
-    asked = {"anisotropic": anisotropic, "verify": verify, "pattern": pattern is not None}
-    _check_numbers(method, asked, tiles, {"tolerance": tolerance, "k": k, "depth_tolerance": depth_tolerance})
-    if pattern is not None and not isinstance(pattern, Pattern):
-        raise InputError(f"pattern must be a slefejax.rings.Pattern, not {type(pattern).__name__}")
+    request = Request.of(
+        method,
+        patches.shape[3],
+        tiles=tiles,
+        anisotropic=anisotropic,
+        verify=verify,
+        segments=segments,
+        tolerance=tolerance,
+        depth_tolerance=depth_tolerance,
+        k=k,
+        setting=setting,
+        pattern=pattern,
+    )
     if edge_numbers is not None:
         edge_numbers = check_edge_numbers(edge_numbers, len(patches))
+    packed = jnp.asarray(layout.pack(patches))
+    return factors_of(packed, None, lambda: patches, len(patches), view, request, edge_numbers)
+
+
+@dataclass(frozen=True)
+class Request:
+    """What ``tessellation_factors`` is asked for besides patches and a view, checked. Make it with ``Request.of``.
+
+    fineness : static: tiles of ``certified``, (m_u, m_v) of ``slefe``
+    numbers  : tolerance, then those of the method; None for what is not asked for
+    """
+
+    method: str
+    fineness: Any
+    numbers: tuple[Any, ...]
+    anisotropic: bool
+    verify: bool
+    pattern: Pattern
+
+    @staticmethod
+    def of(
+        method: str = "certified",
+        dimension: int = 3,
+        *,
+        tiles: int = 2,
+        anisotropic: bool = False,
+        verify: bool = False,
+        segments: Segments = 3,
+        tolerance: Number = 0.5,
+        depth_tolerance: Number | None = None,
+        k: Number = 1.0,
+        setting: Number | None = None,
+        pattern: Pattern | None = None,
+    ) -> Request:
+        """From the arguments of ``tessellation_factors``, for control points of that dimension. Raises as it does."""
+        _check_method(method, dimension, depth_tolerance, setting)
+        asked = {"anisotropic": anisotropic, "verify": verify, "pattern": pattern is not None}
+        _check_numbers(method, asked, tiles, {"tolerance": tolerance, "k": k, "depth_tolerance": depth_tolerance})
+        if pattern is not None and not isinstance(pattern, Pattern):
+            raise InputError(f"pattern must be a slefejax.rings.Pattern, not {type(pattern).__name__}")
+        if method == "certified":
+            numbers: tuple[Any, ...] = (tolerance, depth_tolerance)
+        elif method == "slefe":
+            numbers = (tolerance, depth_tolerance, k)
+        else:
+            numbers = (tolerance, SETTINGS.get(method) if setting is None else setting)
+        fineness = {"certified": int(tiles), "slefe": segment_pair(segments)}.get(method)
+        return Request(method, fineness, numbers, anisotropic, verify, pattern or direct3d11())
+
+    def left_out(self) -> tuple[str, ...]:
+        """What is not computed because it was not asked for, a sentence each."""
+        left = []
+        if self.method in ("certified", "slefe") and self.numbers[1] is None:
+            left.append("depth widths: no depth tolerance was given")
+        if self.method != "slefe":
+            left.append(f"slefe boxes: the method {self.method} does without")
+        return tuple(left)
+
+
+def factors_of(
+    packed: Any,
+    boxes: tuple[Any, Any] | None,
+    patches: Callable[[], Any],
+    count: int,
+    view: View,
+    request: Request,
+    edge_numbers: Any,
+) -> Factors:
+    """Factors of patches in the layout of the kernels (``slefejax.layout``). Raises as ``tessellation_factors`` does.
+
+    boxes   : of ``slefe``: the patches' slefe boxes in the same layout, if they are there already
+    patches : makes them in the order of users, ``(patches, du+1, dv+1, dim)``; called only where that is needed
+    """
     if not isinstance(view, View):
         raise InputError(f"the view must be a slefejax.View (a camera and a picture size), not {type(view).__name__}")
-    dtype = jax.dtypes.canonicalize_dtype(patches.dtype)
-    projection = jax.tree.map(partial(jnp.asarray, dtype=dtype), Projection.of(view))
-    packed = jnp.asarray(layout.pack(patches))
-    if method == "certified":
-        numbers: tuple[Any, ...] = (tolerance, depth_tolerance)
-    elif method == "slefe":
-        numbers = (tolerance, depth_tolerance, k)
-    else:
-        numbers = (tolerance, SETTINGS.get(method) if setting is None else setting)
-    scales = tuple(None if x is None else jnp.asarray(x, dtype) for x in numbers)
-    fineness = {"certified": int(tiles), "slefe": segment_pair(segments)}.get(method)
-    factor = layout.unpack(_factors_jit(packed, projection, scales, method, fineness), len(patches))
+    projection = jax.tree.map(partial(jnp.asarray, dtype=packed.dtype), Projection.of(view))
+    scales = tuple(None if x is None else jnp.asarray(x, packed.dtype) for x in request.numbers)
+    needed = packed if boxes is None or packed.shape[3] == 4 else None
+    chunks = view_pass(needed, boxes, projection, scales, request.method, request.fineness)
+    factor = layout.unpack(chunks, count)
     if isinstance(factor, Tracer):
-        if anisotropic or verify:
+        if request.anisotropic or request.verify:
             raise InputError("anisotropic and verify find whole numbers: ask for them outside of jit and grad")
         return Factors(factor, known=edge_numbers)
-    _check_result(np.asarray(factor), np.asarray(patches))
-    if method != "certified":
-        return Factors(factor, patches, edge_numbers)
-    concrete = np.asarray(patches, dtype)
-    pattern = pattern or direct3d11()
+    _check_result(np.asarray(factor), patches)
+    if request.method != "certified":
+        return Factors(factor, patches() if edge_numbers is None else None, edge_numbers)
     proof = None
-    if verify:
+    if request.verify:
         # in double precision, whatever the patches are in
-        nets = Nets.of(np.asarray(patches), Projection.of(view), (tolerance, depth_tolerance))
+        nets = Nets.of(np.asarray(patches()), Projection.of(view), (request.numbers[0], request.numbers[1]))
         factor = verified_factors(np.asarray(factor), nets)
-        proof = partial(drawn_grids_hold, nets, pattern)
-    certificate = Certificate(concrete, projection, (scales[0], scales[1]), int(tiles), pattern, proof)
-    pairs = certificate.pairs() if anisotropic else None
-    return Factors(factor, patches, edge_numbers, pairs, certificate)
+        proof = partial(drawn_grids_hold, nets, request.pattern)
+
+    @cache
+    def certify() -> Certificate:
+        concrete = np.asarray(patches(), packed.dtype)
+        return Certificate(concrete, projection, (scales[0], scales[1]), request.fineness, request.pattern, proof)
+
+    pairs = certify().pairs() if request.anisotropic else None
+    return Factors(factor, patches() if edge_numbers is None else None, edge_numbers, pairs, certify)
 
 
-@jax.jit(static_argnums=(3, 4))
-def _factors_jit(packed: Any, projection: Projection, scales: tuple, method: str, fineness: Any) -> Any:
+@partial(jax.jit, static_argnums=(4, 5))
+def view_pass(
+    packed: Any, boxes: Any, projection: Projection, scales: tuple[Any, ...], method: str, fineness: Any
+) -> Float[Array, "chunks lanes"]:
+    """Real factors of all patches in one view, in the layout of the kernels; NaN for patches that are not finite.
+
+    packed : control points; None where boxes are enough
+    boxes  : slefe boxes, or None to compute them on the way
+    """
     if method == "certified":
         factor: Any = certified_factors(packed, projection, scales, fineness)
         fine = _harmless(packed, projection, (1, 2, 3))
@@ -223,8 +308,20 @@ def _factors_jit(packed: Any, projection: Projection, scales: tuple, method: str
                 # control points are divided by it
                 fine &= (scale > 0) & _harmless(packed / scale, projection, (1, 2, 3))
         return jnp.where(fine, factor, jnp.nan)
+    if boxes is not None:
+        return layout.over_chunks(partial(_from_boxes, segments=fineness), (boxes, packed), projection, *scales)
     kernel = partial(slefe_factor, segments=fineness) if method == "slefe" else _seen(RULES[method])
     return layout.over_chunks(_unless_bad(kernel), packed, projection, *scales)
+
+
+def _from_boxes(
+    both: Any, projection: Projection, tolerance: Any, depth_tolerance: Any, k: Any, segments: tuple[int, int]
+) -> Any:
+    (lower, upper), control = both
+    # boxes of control points that are not finite are not finite either
+    fine = _harmless(lower, projection, (0, 1, 2)) & _harmless(upper, projection, (0, 1, 2))
+    factor = factor_of_boxes((lower, upper), control, projection, tolerance, depth_tolerance, k, segments)
+    return jnp.where(fine, factor, jnp.nan)
 
 
 def _seen(rule: Callable[..., Any]) -> Callable[..., Any]:
@@ -274,10 +371,11 @@ def _harmless(control: Any, projection: Projection, axes: tuple[int, int, int]) 
     return jnp.isfinite(64 * jnp.max(jnp.abs(control), axis=axes) * jnp.max(jnp.abs(projection.frustum)))
 
 
-def _check_result(factor: np.ndarray, patches: np.ndarray) -> None:
+def _check_result(factor: np.ndarray, make_patches: Callable[[], Any]) -> None:
     bad = np.flatnonzero(~np.isfinite(factor))
     if bad.size == 0:
         return
+    patches = np.asarray(make_patches())
     where = f"patch {bad[0]}" + (f" and {bad.size - 1} more" if bad.size > 1 else "")
     if not np.isfinite(patches[bad[0]]).all():
         raise InputError(f"{where} (counted from 0) has control points that are not finite numbers: repair or drop it")

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float, Shaped
+from jaxtyping import Array, Shaped
 
 LANES = 1024
 _FEWEST_LANES = 32
@@ -52,6 +52,9 @@ def unpack(chunks: Shaped[Array | np.ndarray, "chunks *rest lanes"], count: int)
     return items if xp is jnp else jnp.asarray(items)
 
 
-def over_chunks(kernel: Callable[..., Any], packed: Float[Array, "chunks *rest lanes"], *arguments: Any) -> Any:
-    """``kernel(chunk, *arguments)`` for one chunk after the other; results are stacked along the first axis."""
+def over_chunks(kernel: Callable[..., Any], packed: Any, *arguments: Any) -> Any:
+    """``kernel(chunk, *arguments)`` for one chunk after the other; results are stacked along the first axis.
+
+    packed : ``(chunks, *rest, lanes)``, or a tree of such arrays
+    """
     return jax.lax.map(lambda chunk: kernel(chunk, *arguments), packed)

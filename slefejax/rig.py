@@ -7,10 +7,10 @@ parent times its local one, and what moves the vertices is world times inverse b
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -21,6 +21,17 @@ from slefejax.errors import InputError
 from slefejax.skinning import Influences, ShapeKeys, rotation_matrices
 
 Deformation = Callable[[Any, Any, Influences], Any]
+
+
+class Pose(NamedTuple):
+    """How a rig stands; whatever is None is as at rest.
+
+    local : ``(joints, 4, 4)`` local transforms of the joints
+    keys  : ``(keys,)`` weights of the shape keys
+    """
+
+    local: Any = None
+    keys: Any = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,19 +210,65 @@ class Rig:
     motion: Motion | None = None
     rate: float = 24.0
 
-    def posed(self, rest: Any, time: Any, deform: Deformation) -> Any:
-        """Rest positions ``(vertices, 3)`` moved to where they are at a time: shape keys first, then bones.
+    def pose(self, time: Any = None, keys: Any = None) -> Pose:
+        """The pose at a time of the motion, or at rest without one; differentiable by the time.
 
-        Raises InputError for a time outside of the motion.
+        keys : weights of shape keys instead of the motion's: ``(keys,)``, or a mapping from some of their names
+
+        Raises InputError for a time outside of the motion, keys that do not exist, and too few or too many weights.
+
+        >>> from slefejax import load
+        >>> rig = load("walker").rig
+        >>> rig.pose(3.0, keys={"smile": 1.0}).keys.shape
+        (6,)
         """
-        if self.motion is None:
-            return rest
-        self.motion.check(time)
-        if self.keys is not None and self.motion.keys is not None:
-            rest = rest + self.keys.offsets(self.motion.weights(time))
-        if self.skeleton is None or self.influences is None or self.motion.rotations is None:
-            return rest
-        return deform(rest, self.skeleton.transforms(self.motion.local(time)), self.influences)
+        local = weights = None
+        if time is not None and self.motion is not None:
+            self.motion.check(time)
+            if self.skeleton is not None and self.motion.rotations is not None:
+                local = self.motion.local(time)
+            if self.keys is not None and self.motion.keys is not None:
+                weights = self.motion.weights(time)
+        return Pose(local, weights if keys is None else self._weights(keys, weights))
+
+    def _weights(self, given: Any, own: Any) -> Any:
+        names = self.keys.names if self.keys is not None else ()
+        if not isinstance(given, Mapping):
+            if np.shape(given) != (len(names),):
+                raise InputError(
+                    f"there are {len(names)} shape keys, so weights must be ({len(names)},), not {np.shape(given)}"
+                )
+            return jnp.asarray(given)
+        unknown = [name for name in given if name not in names]
+        if unknown:
+            raise InputError(
+                f"there is no shape key {unknown[0]!r}: "
+                + (f"there are {', '.join(names)}" if names else "there are none")
+            )
+        own = jnp.zeros(len(names)) if own is None else own
+        places = np.array([names.index(name) for name in given], np.int64)
+        return own.at[places].set(jnp.stack([jnp.asarray(w, own.dtype) for w in given.values()])) if given else own
+
+    def posed(self, rest: Any, pose: Pose, deform: Deformation) -> Any:
+        """Rest positions ``(vertices, 3)`` moved to where they are in a pose: shape keys first, then bones.
+
+        Raises InputError for a pose of another number of joints or keys, and for parts that this rig does not have.
+        """
+        self.check(pose)
+        if pose.keys is not None and self.keys is not None:
+            rest = rest + self.keys.offsets(pose.keys)
+        if pose.local is not None and self.skeleton is not None:
+            rest = deform(rest, self.skeleton.transforms(pose.local), self.influences)  # type: ignore[arg-type]
+        return rest
+
+    def check(self, pose: Pose) -> None:
+        """Raise InputError for a pose of another number of joints or keys."""
+        joints = 0 if self.skeleton is None else len(self.skeleton.names)
+        keys = 0 if self.keys is None else len(self.keys.names)
+        if pose.local is not None and np.shape(pose.local) != (joints, 4, 4):
+            raise InputError(f"a pose of {joints} joints needs transforms ({joints}, 4, 4), not {np.shape(pose.local)}")
+        if pose.keys is not None and np.shape(pose.keys) != (keys,):
+            raise InputError(f"a pose of {keys} shape keys needs weights ({keys},), not {np.shape(pose.keys)}")
 
     def __post_init__(self) -> None:
         if (self.skeleton is None) != (self.influences is None):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from slefejax.data.small import (
     twisted_quad,
 )
 from slefejax.data.teapot import EYE, TARGET, teapot
+from slefejax.data.walker import walker
 from slefejax.defects import check_manifold, isolated_vertices, without_defects
 from slefejax.edges import shared_edges
 from slefejax.errors import InputError
@@ -42,7 +43,7 @@ from slefejax.io.ply import read_ply
 from slefejax.io.rhino import read_3dm
 from slefejax.io.usd import read_usd
 from slefejax.mesh import Mesh
-from slefejax.rig import Deformation, Rig
+from slefejax.rig import Deformation, Pose, Rig
 from slefejax.skinning import linear_blend
 from slefejax.view import Camera, Vector
 
@@ -75,23 +76,43 @@ class Scene:
         """Control points at rest, ``(patches, du+1, dv+1, 3)``, u before v."""
         return self.control
 
-    def vertices(self, time: Any, deform: Deformation = linear_blend) -> Any:
-        """Positions ``(vertices, 3)`` of the control mesh at a time, by JAX; differentiable by the time.
+    def vertices(self, pose: Any, deform: Deformation = linear_blend) -> Any:
+        """Positions ``(vertices, 3)`` of the control mesh in a pose, by JAX; differentiable by it.
 
+        pose   : a time of the scene's motion, or a ``Pose`` (``Scene.rig.pose`` makes some)
         deform : how bones move vertices: ``linear_blend``, ``dual_quaternion_blend``, or a function like them
 
-        Raises InputError for a scene without a control mesh, and for a time before the first or after the last sample.
+        Raises InputError for a scene without a control mesh, for a time before the first or after the last sample, and
+        for a pose of another rig.
         """
         if self.conversion is None:
             raise InputError(f"{self.name} is no control mesh: there are no vertices to move")
         rest = jnp.asarray(self.conversion.mesh.vertices)
-        return rest if self.rig is None else self.rig.posed(rest, time, deform)
+        if self.rig is None:
+            return rest
+        return self.rig.posed(rest, pose if isinstance(pose, Pose) else self.rig.pose(pose), deform)
 
-    def pose(self, time: Any, deform: Deformation = linear_blend) -> Any:
-        """Control points of all patches at a time, ``(patches, du+1, dv+1, 3)``: those at rest if nothing moves."""
+    def pose(self, pose: Any, deform: Deformation = linear_blend) -> Any:
+        """Control points of all patches in a pose, ``(patches, du+1, dv+1, 3)``: those at rest if nothing moves.
+
+        Pose and deform as in ``vertices``.
+        """
         if self.rig is None or self.conversion is None:
             return self.control
-        return self.conversion.patchwork.patches(self.vertices(time, deform))
+        return self.conversion.patchwork.patches(self.vertices(pose, deform))
+
+    def posed(self, pose: Any, deform: Deformation = linear_blend) -> Scene:
+        """The scene as it stands in a pose, with nothing that moves any more.
+
+        >>> load("walker").posed(6.0).rig is None
+        True
+        """
+        if self.conversion is None or self.rig is None:
+            raise InputError(f"{self.name} does not move: it has no pose but the one at rest")
+        vertices = np.asarray(self.vertices(pose, deform), np.float64)
+        conversion = replace(self.conversion, mesh=replace(self.conversion.mesh, vertices=vertices))
+        control = conversion.patchwork.on_host(vertices)
+        return replace(self, control=control, conversion=conversion, rig=None)
 
     @cached_property
     def edge_numbers(self) -> Int[np.ndarray, "patches 4"]:
@@ -148,7 +169,7 @@ def load(
     drop_defects: Any = False,
 ) -> Scene:
     """A scene from a file (.obj, .ply, .usd…, .3dm, .bpt, .bv), a folder in MakeHuman's formats, or by its built-in
-    name (``"teapot"``, ``"twisted-quad"``, ``"steep-patch"``).
+    name (``"teapot"``, ``"walker"``, ``"twisted-quad"``, ``"steep-patch"``).
 
     scheme, alpha, steps : of control meshes: how patches are made of them (``slefejax.conversion.scheme.convert``)
     group        : of .obj: read only the faces of these groups or objects
@@ -172,11 +193,7 @@ def load(
     }
     asked = [name for name, given in {"scheme": scheme != "auto", **options}.items() if given]
     if str(path) in BUILT_IN:
-        if asked or group is not None:
-            raise InputError(
-                f"{path} is a list of patches, no control mesh: {(*asked, 'group')[0]} has no meaning for it"
-            )
-        return BUILT_IN[str(path)]()
+        return _built_in(str(path), scheme, alpha, steps, asked if group is None else [*asked, "group"])
     if not isinstance(path, (str, Path)) or not str(path):
         raise InputError(f"a file name or a built-in scene is needed, not {path!r}")
     if not isinstance(drop_defects, (bool, np.bool_)):
@@ -303,6 +320,15 @@ def _common_degree(patches: list[np.ndarray]) -> tuple[np.ndarray, tuple[str, ..
     )
 
 
+def _built_in(name: str, scheme: str, alpha: float, steps: int | None, asked: list[str]) -> Scene:
+    made = BUILT_IN[name]()
+    meaningless = [option for option in asked if isinstance(made, Scene) or option in ("group", "drop_defects")]
+    if meaningless:
+        what = "a list of patches, no control mesh" if isinstance(made, Scene) else "built in"
+        raise InputError(f"{name} is {what}: {meaningless[0]} has no meaning for it")
+    return made if isinstance(made, Scene) else _scene(Path(name), made, scheme, alpha, steps, False)
+
+
 def _teapot() -> Scene:
     return Scene("teapot", teapot(), Camera.look_at(EYE, TARGET))
 
@@ -326,8 +352,9 @@ READERS: dict[str, Callable[[Path], Content]] = {
     ".bpt": read_bpt,
     ".bv": read_bv,
 }
-BUILT_IN: dict[str, Callable[[], Scene]] = {
+BUILT_IN: dict[str, Callable[[], Scene | Content]] = {
     "teapot": _teapot,
     "twisted-quad": _twisted_quad,
     "steep-patch": _steep_patch,
+    "walker": walker,
 }

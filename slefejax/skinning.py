@@ -218,10 +218,11 @@ class Key:
 
 def _hats(weight: Any, places: tuple[float, ...]) -> list[Any]:
     """Weights of the shapes at all places but 0: piecewise linear, beyond the ends as in the first and last piece."""
-    order = sorted(places)
+    order, weight = sorted(places), jnp.asarray(weight)
     knots = np.array(order)
     piece = jnp.searchsorted(knots[1:-1], weight, side="right")
-    share = (weight - jnp.asarray(knots)[piece]) / jnp.asarray(np.diff(knots))[piece]
+    start, length = (jnp.asarray(part, weight.dtype)[piece] for part in (knots, np.diff(knots)))
+    share = (weight - start) / length
     values = [
         jnp.where(piece == k, 1.0 - share, 0.0) + jnp.where(piece + 1 == k, share, 0.0) for k in range(len(knots))
     ]

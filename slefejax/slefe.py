@@ -120,7 +120,7 @@ def slefe_boxes(patches: Patches, segments: Segments) -> Slefe:
     (5, 4, 4, 3)
     """
     patches = check_patches(patches, dims=None)
-    lower, upper = _boxes_jit(jnp.asarray(layout.pack(patches)), segment_pair(segments))
+    lower, upper = boxes_pass(jnp.asarray(layout.pack(patches)), segment_pair(segments))
     return Slefe(layout.unpack(lower, len(patches)), layout.unpack(upper, len(patches)))
 
 
@@ -181,5 +181,6 @@ def _slefe_jit(coefficients: Any, segments: int, axis: int) -> tuple[Any, Any]:
 
 
 @jax.jit(static_argnums=1)
-def _boxes_jit(packed: Any, segments: tuple[int, int]) -> tuple[Any, Any]:
+def boxes_pass(packed: Any, segments: tuple[int, int]) -> tuple[Any, Any]:
+    """Lower and upper ends of the slefe boxes of all patches, in the layout of the kernels."""
     return layout.over_chunks(enclose_patch, packed, segments)

@@ -7,7 +7,7 @@ are padded each to its own width: a pole of valence 64 does not make every row a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -26,9 +26,13 @@ _GROWTH = 1.5
 _UNROLLED = 32
 
 
+@jax.tree_util.register_pytree_node_class
 @dataclass(frozen=True, eq=False)
 class StencilTable:
     """A linear map from ``(columns, *rest)`` to ``(rows, *rest)``.
+
+    To JAX it is a tree of its padded arrays, so that a table can be an argument of a jitted function; closed over, its
+    arrays would become constants of the program, which takes long to compile where they are large.
 
     >>> midpoints = StencilTable.of([0, 0, 1, 1], [0, 1, 1, 2], [0.5] * 4, (2, 3))
     >>> midpoints(np.array([0.0, 2.0, 6.0])).tolist()
@@ -36,6 +40,18 @@ class StencilTable:
     """
 
     matrix: Any
+    traced: Any = field(default=None, repr=False)  # inside of JAX: (groups, order), and the table that they are of
+
+    def tree_flatten(self) -> tuple[Any, StencilTable]:
+        """For JAX: groups and order are data."""
+        if self.traced is not None:
+            return self.traced
+        return self._on_device[jax.config.read("jax_enable_x64")], self
+
+    @classmethod
+    def tree_unflatten(cls, table: StencilTable, arrays: Any) -> StencilTable:
+        """For JAX: the inverse of ``tree_flatten``."""
+        return cls(table.matrix, (tuple(arrays), table))
 
     @staticmethod
     def of(rows: Any, columns: Any, weights: Any, shape: tuple[int, int]) -> StencilTable:
@@ -107,6 +123,8 @@ class StencilTable:
         """
         values = values if isinstance(values, (jax.Array, Tracer)) else np.asarray(values)
         self._check(values)
+        if self.traced is not None:
+            return _apply_jit(values, *self.traced[0])
         if isinstance(values, Tracer):
             return _apply_jit(values, self.groups, self.order)
         return _apply_jit(values, *self._on_device[jax.config.read("jax_enable_x64")])

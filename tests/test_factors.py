@@ -214,7 +214,7 @@ def test_gradients_of_flat_and_hidden_patches_are_zero_not_nan():
 
 
 def test_one_compilation_a_configuration(teapot, main_view):
-    compiled: Any = factors_module._factors_jit
+    compiled: Any = factors_module.view_pass
     compiled.clear_cache()
     for angle in np.linspace(0, 1, 5):
         view = View(Camera.look_at((6 * np.cos(angle), 6 * np.sin(angle), 3), (0, 0, 1)), 800, 600)

@@ -50,7 +50,7 @@ LAYERS = [
         "data",
     },
     {"certificate", "drawn", "factors", "minimal", "covering"},
-    {"scene", "testing"},
+    {"scene", "session", "testing"},
 ]
 ANALYSIS = set().union(*LAYERS)
 GROUND = LAYERS[0] | LAYERS[1]

@@ -44,15 +44,20 @@ class Patchwork:
         return self.points.on_host(control)[self.net]
 
     @cached_property
-    def _packed_net(self) -> Int[np.ndarray, "chunks nu nv lanes"]:
+    def packed_net(self) -> Int[np.ndarray, "chunks nu nv lanes"]:
+        """``net`` in the layout of the kernels."""
         return np.asarray(layout.pack(self.net.astype(np.int32)))
 
     def packed(self, control: Any) -> Any:
         """The same by JAX in the layout of the kernels, ``(chunks, du+1, dv+1, dim, lanes)`` (``slefejax.layout``)."""
-        points, net = self.points(control), self._packed_net
-        return jnp.moveaxis(points.reshape(len(points), -1).T[:, net], 0, 3)
+        return in_layout(self.points(control), self.packed_net)
 
     @cached_property
     def edge_numbers(self) -> Int[np.ndarray, "patches 4"]:
         """Which edges are shared: those with the same points, in any pose."""
         return shared_edges(self.net[..., None])
+
+
+def in_layout(points: Any, net: Any) -> Any:
+    """Control points ``(points, dim)`` of patches whose numbers are ``(chunks, nu, nv, lanes)``, in that layout."""
+    return jnp.moveaxis(points.reshape(len(points), -1).T[:, net], 0, 3)

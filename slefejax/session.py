@@ -1,0 +1,236 @@
+"""A scene that is looked at again and again: what has changed is computed anew, what has not is kept.
+
+The two passes of the papers (animation paper, section 4), compiled apart: the *pose pass* makes control points (shape
+keys, skinning, conversion) and, for the method that needs them, their slefe boxes; the *view pass* makes factors of
+them. A pose that is the same leaves the first one out, a view that is the same too the second one as well. What a scene
+or a method has no need of is not part of the programs at all (``Session.left_out``, ``Session.programs``).
+"""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Float
+
+from slefejax import layout
+from slefejax.conversion.patchwork import in_layout
+from slefejax.errors import InputError
+from slefejax.estimate import Projection
+from slefejax.factors import Factors, Request, factors_of, view_pass
+from slefejax.rig import Deformation, Pose
+from slefejax.scene import Scene
+from slefejax.skinning import Influences, linear_blend
+from slefejax.slefe import boxes_pass
+from slefejax.stencils import StencilTable
+from slefejax.tiles import check_weights
+from slefejax.view import View
+
+PARTS = ("skinning and conversion", "slefe boxes", "view")
+
+
+class _Tables(NamedTuple):
+    """What the pose pass works with; None for what a scene does not have."""
+
+    rest: Any  # (vertices, 3)
+    keys: StencilTable | None
+    influences: StencilTable | None
+    points: StencilTable
+    net: Any  # (chunks, nu, nv, lanes)
+
+
+class Session:
+    """Factors of a scene over time, pose by pose and view by view.
+
+    scene   : from ``load``
+    deform  : how bones move vertices: ``linear_blend``, ``dual_quaternion_blend``, or a function like them
+    dtype   : float32 or float64; None: float64 if JAX has it
+    options : those of ``tessellation_factors``: method, tolerance …
+
+    Raises InputError for options that ``tessellation_factors`` would refuse.
+
+    >>> from slefejax import Session, View, load
+    >>> scene = load("walker")
+    >>> view = View(scene.default_camera(), 1440, 900)
+    >>> session = Session(scene, method="slefe")
+    >>> first = session.factors(view, 0.0)
+    >>> session.recomputed
+    ('pose', 'view')
+    >>> session.factors(view, 0.0) is first, session.recomputed
+    (True, ())
+    """
+
+    recomputed: tuple[str, ...]
+    """Which of the passes ``"pose"`` and ``"view"`` the last call of ``factors`` ran."""
+    seconds: dict[str, float]
+    """How long each of PARTS took in that call; 0 for what was kept. The first call of each compiles."""
+
+    def __init__(self, scene: Scene, *, deform: Deformation = linear_blend, dtype: Any = None, **options: Any) -> None:
+        if not isinstance(scene, Scene):
+            raise InputError(f"a session is of a slefejax.Scene, as load gives it, not of {type(scene).__name__}")
+        check_weights(scene.control)
+        self.scene = scene
+        self.request = Request.of(dimension=scene.control.shape[3], **options)
+        self._deform = deform
+        self._dtype = jax.dtypes.canonicalize_dtype(np.float64 if dtype is None else dtype)
+        self._tables = self._make_tables()
+        self._pose_pass = jax.jit(self._move)
+        self.recomputed, self.seconds = (), dict.fromkeys(PARTS, 0.0)
+        self._at: Any = None
+        self._packed: Any = None
+        self._boxes: tuple[Any, Any] | None = None
+        self._patches: np.ndarray | None = None
+        self._seen: tuple[View, Factors] | None = None
+
+    @property
+    def moves(self) -> bool:
+        """Whether the scene has a rig: otherwise there is one pose only."""
+        return self._tables is not None
+
+    def factors(self, view: View, pose: Any = None) -> Factors:
+        """The factors of the scene in a pose, seen so; what is still valid is kept (``recomputed``, ``seconds``).
+
+        pose : a time of the scene's motion, a ``Pose`` (``Scene.rig.pose`` makes some), or None for the pose at rest
+
+        Raises InputError for a time outside of the motion, a pose of another rig, or as ``tessellation_factors`` does.
+        """
+        self.seconds = dict.fromkeys(PARTS, 0.0)
+        moved = self._update_pose(pose)
+        looked = self._seen is None or not _same(self._seen[0], view)
+        if looked:
+            self._seen = None
+            self._seen = (view, self._timed("view", lambda: self._look(view)))
+        assert self._seen is not None
+        self.recomputed = ("pose",) * moved + ("view",) * looked
+        return self._seen[1]
+
+    @property
+    def patches(self) -> Float[np.ndarray, "patches nu nv dim"]:
+        """Control points of the pose of the last call, at first those at rest, ``(patches, du+1, dv+1, 3)``."""
+        if self._packed is None:
+            self._update_pose(None)
+        if self._patches is None:
+            self._patches = np.asarray(layout.unpack(np.asarray(self._packed), len(self.scene.control)))
+        return self._patches
+
+    def left_out(self) -> tuple[str, ...]:
+        """What is not computed, because the scene has no need of it or it was not asked for; a sentence each."""
+        return (*self.scene.left_out(), *self.request.left_out())
+
+    def programs(self, view: View, pose: Any = None) -> dict[str, Any]:
+        """The traced programs (jaxprs) of PARTS: what really runs when a pose and a view are new.
+
+        >>> from slefejax import View, load
+        >>> teapot = load("teapot")
+        >>> sorted(Session(teapot).programs(View(teapot.default_camera(), 1440, 900)))
+        ['view']
+        """
+        found = {}
+        packed: Any = self._as_packed()
+        if self.moves:
+            at = self._checked(pose)
+            found["skinning and conversion"], packed = jax.make_jaxpr(self._move, return_shape=True)(self._tables, at)
+        boxes = None
+        if self.request.method == "slefe":
+            found["slefe boxes"], boxes = jax.make_jaxpr(boxes_pass, static_argnums=1, return_shape=True)(
+                packed, self.request.fineness
+            )
+        projection = jax.tree.map(lambda x: jnp.asarray(x, self._dtype), Projection.of(view))
+        scales = tuple(None if x is None else jnp.asarray(x, self._dtype) for x in self.request.numbers)
+        needed = packed if boxes is None or packed.shape[3] == 4 else None
+        found["view"] = jax.make_jaxpr(view_pass, static_argnums=(4, 5))(
+            needed, boxes, projection, scales, self.request.method, self.request.fineness
+        )
+        return found
+
+    def memory(self) -> dict[str, int]:
+        """Bytes of what is kept between calls: tables, control points and slefe boxes, as far as they are there."""
+        kept = {"tables": self._tables, "control points": self._packed, "slefe boxes": self._boxes}
+        return {name: sum(x.nbytes for x in jax.tree.leaves(part)) for name, part in kept.items()}
+
+    def _make_tables(self) -> _Tables | None:
+        scene = self.scene
+        if scene.rig is None or scene.conversion is None:
+            return None
+        work, rig = scene.conversion.patchwork, scene.rig
+        return _Tables(
+            jnp.asarray(scene.conversion.mesh.vertices, self._dtype),
+            rig.keys.table if rig.keys else None,
+            rig.influences.table if rig.influences else None,
+            work.points,
+            jnp.asarray(work.packed_net),
+        )
+
+    def _as_packed(self) -> Any:
+        return jnp.asarray(layout.pack(self.scene.control.astype(self._dtype)))
+
+    def _checked(self, pose: Any) -> Any:
+        """What the pose pass takes: a Pose, or a number."""
+        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(pose)):
+            raise InputError("a session keeps what it computed: inside of jit and grad call Scene.pose instead")
+        rig = self.scene.rig
+        assert rig is not None
+        if pose is None or rig.motion is None or isinstance(pose, Pose):
+            found = pose if isinstance(pose, Pose) else Pose()
+            rig.check(found)
+            return jax.tree.map(lambda x: np.asarray(x, np.float64), found)
+        rig.motion.check(pose)
+        return np.float64(pose)
+
+    def _update_pose(self, pose: Any) -> bool:
+        """Make the control points of a pose, and their boxes, unless they are there."""
+        at = self._checked(pose) if self.moves else None
+        if self._packed is not None and _same(self._at, at):
+            return False
+        packed = self._timed(PARTS[0], lambda: self._pose_pass(self._tables, at) if self.moves else self._as_packed())
+        boxes = None
+        if self.request.method == "slefe":
+            boxes = self._timed(PARTS[1], lambda: boxes_pass(packed, self.request.fineness))
+        self._at, self._packed, self._boxes = at, packed, boxes
+        self._patches = self._seen = None
+        return True
+
+    def _move(self, tables: _Tables, at: Any) -> Any:
+        """The pose pass: shape keys, skinning, conversion, into the layout of the kernels."""
+        rig = self.scene.rig
+        assert rig is not None
+        keys = None if rig.keys is None else replace(rig.keys, table=tables.keys)
+        influences = None if tables.influences is None else Influences(tables.influences)
+        rig = replace(rig, keys=keys, influences=influences)
+        pose = jax.tree.map(lambda x: x.astype(self._dtype), at if isinstance(at, Pose) else rig.pose(at))
+        return in_layout(tables.points(rig.posed(tables.rest, pose, self._deform)), tables.net)
+
+    def _look(self, view: View) -> Factors:
+        count, edges = len(self.scene.control), self.scene.edge_numbers
+        packed, patches = self._packed, self._patches_of(self._packed)
+        return factors_of(packed, self._boxes, patches, count, view, self.request, edges)
+
+    def _patches_of(self, packed: Any) -> Callable[[], np.ndarray]:
+        """The patches of this pose, also when the session has gone on to another one."""
+
+        def patches() -> np.ndarray:
+            if packed is self._packed:
+                return self.patches
+            return np.asarray(layout.unpack(np.asarray(packed), len(self.scene.control)))
+
+        return patches
+
+    def _timed(self, part: str, work: Callable[[], Any]) -> Any:
+        start = clock.perf_counter()
+        found = work()
+        jax.block_until_ready(found)
+        self.seconds[part] = clock.perf_counter() - start
+        return found
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Whether two trees of numbers are the same, number by number."""
+    return jax.tree.structure(a) == jax.tree.structure(b) and all(
+        np.array_equal(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+    )
