@@ -1,4 +1,4 @@
-"""The renderer: whole tessellation levels in, G-buffer or triangles out.
+"""The renderer: tessellation levels in, G-buffer or triangles out.
 
 It draws what it is told and knows nothing of how the levels were predicted.
 """

@@ -15,18 +15,19 @@ _STAGES = {
 }
 
 
-def draw_program(context: Any, shape: tuple[int, int, int]) -> Any:
+def draw_program(context: Any, shape: tuple[int, int, int], spacing: str) -> Any:
     """Draws patches of shape (du+1, dv+1, dim) into the G-buffer."""
-    return _program(context, shape, {**_STAGES, "fragment_shader": "gbuffer.frag"})
+    return _program(context, shape, spacing, {**_STAGES, "fragment_shader": "gbuffer.frag"})
 
 
-def capture_program(context: Any, shape: tuple[int, int, int]) -> Any:
+def capture_program(context: Any, shape: tuple[int, int, int], spacing: str) -> Any:
     """Writes the triangles that the tessellator makes to a storage buffer and draws nothing."""
-    return _program(context, shape, {**_STAGES, "geometry_shader": "capture.geom"})
+    return _program(context, shape, spacing, {**_STAGES, "geometry_shader": "capture.geom"})
 
 
-def _program(context: Any, shape: tuple[int, int, int], stages: dict[str, str]) -> Any:
-    defines = {"DEGREE_U": shape[0] - 1, "DEGREE_V": shape[1] - 1, "COORDINATES": shape[2]}
+def _program(context: Any, shape: tuple[int, int, int], spacing: str, stages: dict[str, str]) -> Any:
+    defines: dict[str, Any] = {"DEGREE_U": shape[0] - 1, "DEGREE_V": shape[1] - 1, "COORDINATES": shape[2]}
+    defines |= {"SPACING": spacing.replace("-", "_") + "_spacing"}
     sources = {stage: _source(name, defines) for stage, name in stages.items()}
     try:
         return context.program(**sources)
@@ -34,7 +35,7 @@ def _program(context: Any, shape: tuple[int, int, int], stages: dict[str, str]) 
         raise RuntimeError(f"the shaders {', '.join(stages.values())} did not compile: {error}") from error
 
 
-def _source(name: str, defines: dict[str, int]) -> str:
+def _source(name: str, defines: dict[str, Any]) -> str:
     """A shader's text, with its includes in place and the definitions behind its #version line."""
     text = re.sub(r'^#include "(.+)"$', lambda match: _read(match.group(1)), _read(name), flags=re.MULTILINE)
     version, rest = text.split("\n", 1)

@@ -7,13 +7,13 @@ from typing import Any
 
 import moderngl
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Real
 
 from slefejax.arguments import Patches, check_patches
 from slefejax.errors import InputError
 from slefejax.gpu.context import Device, open_device
 from slefejax.gpu.programs import capture_program, draw_program
-from slefejax.tessellator import triangle_counts
+from slefejax.tessellator import check_spacing, highest_level, segments, triangle_counts
 from slefejax.view import View
 
 # Software OpenGL numbers the tessellated vertices of a draw call in 16 bits and loses triangles beyond.
@@ -21,8 +21,8 @@ VERTICES_A_DRAW = 65_536
 _HIGHEST_PATCH_NUMBER = 2**24
 _RECORD = 20  # floats a captured triangle, see capture.geom
 
-Inner = Any  # whole numbers (patches, 2), along u and v
-Outer = Any  # whole numbers (patches, 4), at u=0, v=0, u=1, v=1
+Inner = Any  # levels (patches, 2), along u and v
+Outer = Any  # levels (patches, 4), at u=0, v=0, u=1, v=1
 
 
 @dataclass(frozen=True)
@@ -60,21 +60,18 @@ class Renderer:
     patches : ``(patches, du+1, dv+1, 3)`` or, rational, 4 at the end; sent as float32, relative to the box around
               them, so that a scene far from the origin, or of any size, loses nothing
     device  : from ``open_device``, which is called if it is not given
+    spacing : ``"equal"``: levels are whole numbers; ``"fractional-even"``, ``"fractional-odd"``: any numbers, and
+              vertices move as they change, instead of coming and going
 
     >>> renderer = Renderer(patches)                                        # doctest: +SKIP
     >>> buffer = renderer.draw(view, factors.inner, factors.edges)          # doctest: +SKIP
     """
 
-    def __init__(self, patches: Patches, device: Device | None = None) -> None:
-        self.device = device or open_device()
+    def __init__(self, patches: Patches, device: Device | None = None, spacing: str = "equal") -> None:
+        check_spacing(spacing)
+        self.device, self.spacing = device or open_device(), spacing
         self.device.check_thread()
-        patches = np.asarray(check_patches(patches), np.float64)
-        bad = np.flatnonzero(~np.isfinite(patches).all(axis=(1, 2, 3)))
-        if bad.size:
-            raise InputError(f"patch {bad[0]} (counted from 0) has control points that are not finite numbers")
-        if len(patches) >= _HIGHEST_PATCH_NUMBER:
-            raise InputError(f"the G-buffer can number {_HIGHEST_PATCH_NUMBER - 1} patches, not {len(patches)}")
-        control, self._to_world = _in_unit_box(patches)
+        control, self._to_world = _checked(patches)
         self._count = len(control)
         self._shape = (control.shape[1], control.shape[2], control.shape[3])
         context = self.device.context
@@ -84,15 +81,26 @@ class Renderer:
         self._target: tuple[tuple[int, int], Any] | None = None
         self._arrays: dict[str, Any] = {}
 
+    def move(self, patches: Patches) -> None:
+        """Other control points for the same patches. Raises InputError if there are more or fewer of them."""
+        self.device.check_thread()
+        control, to_world = _checked(patches)
+        if control.shape != (self._count, *self._shape):
+            raise InputError(
+                f"patches that move keep their number and degree: {(self._count, *self._shape)}, not {control.shape}"
+            )
+        self._control.write(control.tobytes())
+        self._to_world = to_world
+
     def draw(self, view: View, inner: Inner, outer: Outer) -> GBuffer:
-        """Draw and read back. Levels are whole numbers, see ``submit``."""
+        """Draw and read back. Levels as in ``submit``."""
         self.submit(view, inner, outer)
         return self.read(view)
 
     def submit(self, view: View, inner: Inner, outer: Outer) -> None:
         """Draw the patches and wait until that is done.
 
-        inner : ``(patches, 2)`` levels along u and v
+        inner : ``(patches, 2)`` levels along u and v, whole numbers unless the spacing is fractional
         outer : ``(patches, 4)`` levels at u=0, v=0, u=1, v=1; 0 leaves the patch out
         Raises InputError for levels of the wrong shape or beyond the device's limit.
         """
@@ -116,7 +124,7 @@ class Renderer:
         """The triangles that the tessellator makes for these levels, with their clip-space positions."""
         inner, outer = self._checked_levels(inner, outer)
         context = self.device.context
-        expected = int(triangle_counts(inner, outer).sum())
+        expected = int(triangle_counts(inner, outer, self.spacing).sum())
         counter = context.buffer(np.zeros(1, np.uint32).tobytes())
         records = context.buffer(reserve=4 * _RECORD * max(1, expected))
         counter.bind_to_storage_buffer(2)
@@ -148,16 +156,16 @@ class Renderer:
         array = self._array(name, make_program)
         to_clip = np.asarray(view.world_to_clip, np.float64) @ self._to_world
         array.program["to_clip"].write(to_clip.astype(np.float32).T.tobytes())
-        self._levels.write(np.hstack([inner, outer]).astype(np.int32).tobytes())
+        self._levels.write(np.hstack([inner, outer]).astype(np.float32).tobytes())
         self._control.bind_to_storage_buffer(0)
         self._levels.bind_to_storage_buffer(1)
         self.device.context.patch_vertices = 1
-        for first, count in draw_ranges(inner, outer):
+        for first, count in draw_ranges(segments(inner, self.spacing), segments(outer, self.spacing)):
             array.render(moderngl.PATCHES, vertices=count, first=first)
 
     def _array(self, name: str, make_program: Any) -> Any:
         if name not in self._arrays:
-            program = make_program(self.device.context, self._shape)
+            program = make_program(self.device.context, self._shape, self.spacing)
             self._arrays[name] = self.device.context.vertex_array(program, [(self._numbers, "i", "number")])
         return self._arrays[name]
 
@@ -193,17 +201,29 @@ class Renderer:
 
     def _checked_levels(self, inner: Inner, outer: Outer) -> tuple[Inner, Outer]:
         inner, outer = np.asarray(inner), np.asarray(outer)
-        if not all(np.issubdtype(levels.dtype, np.integer) for levels in (inner, outer)):
+        if self.spacing == "equal" and not all(np.issubdtype(levels.dtype, np.integer) for levels in (inner, outer)):
             raise InputError("levels must be whole numbers: round them up")
         if inner.shape != (self._count, 2) or outer.shape != (self._count, 4):
             raise InputError(
                 f"levels for {self._count} patches must have shapes ({self._count}, 2) and ({self._count}, 4),"
                 f" not {inner.shape} and {outer.shape}"
             )
-        if min(inner.min(), outer.min()) < 0:
-            raise InputError("levels must not be negative: 0 leaves a patch out")
-        check_levels(np.maximum(inner.max(axis=1), outer.max(axis=1)), self.device.highest_level)
+        if not min(inner.min(), outer.min()) >= 0:
+            raise InputError("levels must be numbers and not negative: 0 leaves a patch out")
+        levels = np.maximum(inner.max(axis=1), outer.max(axis=1))
+        check_levels(levels, highest_level(self.spacing, self.device.highest_level))
         return inner, outer
+
+
+def _checked(patches: Patches) -> tuple[np.ndarray, np.ndarray]:
+    """Control points as they are sent, and the matrix that takes them back to the world."""
+    patches = np.asarray(check_patches(patches), np.float64)
+    bad = np.flatnonzero(~np.isfinite(patches).all(axis=(1, 2, 3)))
+    if bad.size:
+        raise InputError(f"patch {bad[0]} (counted from 0) has control points that are not finite numbers")
+    if len(patches) >= _HIGHEST_PATCH_NUMBER:
+        raise InputError(f"the G-buffer can number {_HIGHEST_PATCH_NUMBER - 1} patches, not {len(patches)}")
+    return _in_unit_box(patches)
 
 
 def _in_unit_box(patches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -226,14 +246,14 @@ def _in_unit_box(patches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     ), to_world
 
 
-def check_levels(levels: Int[np.ndarray, "patches"], highest: int) -> None:
+def check_levels(levels: Real[np.ndarray, "patches"], highest: int) -> None:
     """Raise InputError if a patch's level is beyond what the tessellator can do."""
     beyond = np.flatnonzero(levels > highest)
     if beyond.size:
         worst = beyond[np.argmax(levels[beyond])]
         raise InputError(
             f"{beyond.size} of {len(levels)} patches need a tessellation factor above the hardware's limit of {highest}"
-            f" (patch {worst}, counted from 0: {levels[worst]}):"
+            f" (patch {worst}, counted from 0: {levels[worst]:g}):"
             " move the camera away, shrink the picture or raise the tolerance"
         )
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int, Shaped
+from jaxtyping import Int, Real, Shaped
 
 from slefejax.errors import InputError
 
@@ -85,8 +85,8 @@ def check_edge_numbers(numbers: Any, count: int) -> Int[np.ndarray, "patches 4"]
 
 
 def edge_maxima(
-    levels: Int[np.ndarray, "patches"], edges: Int[np.ndarray, "patches 4"]
-) -> Int[np.ndarray, "patches 4"]:
+    levels: Real[np.ndarray, "patches"], edges: Int[np.ndarray, "patches 4"]
+) -> Real[np.ndarray, "patches 4"]:
     """For every edge the largest level of the patches that share it; 0 on the edges of a patch with level 0.
 
     The rule of both papers (MATH.md, section 3): a visible patch keeps its own level where its neighbour is not drawn.

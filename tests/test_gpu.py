@@ -8,7 +8,7 @@ import pytest
 from slefejax import Camera, InputError, View
 from slefejax.bezier import evaluate_patch
 from slefejax.edges import edge_maxima, shared_edges
-from slefejax.tessellator import triangle_counts
+from slefejax.tessellator import SPACINGS, levels_for, segments, triangle_counts, widest_pieces
 from slefejax.view import homogeneous
 from tests.test_edges import SYMMETRIES
 
@@ -208,6 +208,86 @@ def test_place_and_size_of_the_scene_do_not_matter(device, gpu, teapot, main_vie
     assert np.count_nonzero(seen[0].patch != seen[1].patch) <= 3  # pixels on an edge, by a rounding
     same = seen[0].patch == seen[1].patch
     assert np.quantile(np.abs(seen[0].u - seen[1].u)[same], 0.999) < 1e-3
+
+
+def open_edges(triangles, patches) -> int:
+    """Edges of the captured triangles inside of the lattice that no other one runs along the other way, by position."""
+    corners = triangles.clip + np.float32(0)
+    _, number = np.unique(corners.reshape(-1, 4), axis=0, return_inverse=True)
+    number = number.reshape(-1, 3)
+    pairs = np.concatenate([number[:, [0, 1]], number[:, [1, 2]], number[:, [2, 0]]])
+    there = set(map(tuple, np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1).tolist()))
+    counts = {pair: 0 for pair in there}
+    for a, b in np.sort(pairs, axis=1).tolist():
+        if a != b:
+            counts[a, b] += 1
+    return sum(count != 2 for count in counts.values())
+
+
+@pytest.mark.parametrize("spacing", SPACINGS)
+def test_spacing(device, gpu, rng, spacing):
+    """Real levels: as many triangles as OpenGL prescribes (``capture`` refuses others), no cracks, the right pixels."""
+    patches = lattice(rng, 5, 3)
+    numbers = shared_edges(patches)
+    level = rng.uniform(1.0, 11.0, len(patches))
+    if spacing == "equal":
+        level = np.ceil(level).astype(int)
+    inner, outer = np.repeat(level[:, None], 2, axis=1), edge_maxima(level, numbers)
+    renderer = gpu.Renderer(patches, device, spacing)
+    found = renderer.capture(above(), inner, outer)
+    assert len(found.patch) == triangle_counts(inner, outer, spacing).sum()
+    rim = 2 * segments(outer, spacing)[np.bincount(numbers.ravel())[numbers] == 1].sum() / 2
+    assert open_edges(found, patches) == rim
+    own = found.parameters[found.patch == 12]
+    row = np.unique(own[..., 1][own[..., 0] == 0.0])
+    assert len(row) == segments(outer[12], spacing)[0] + 1
+    np.testing.assert_allclose(np.diff(row).max(), widest_pieces(outer[12, :1], spacing)[0], atol=1e-4)
+    assert np.all(renderer.draw(above(), inner, outer).patch[100:150, 100:150] >= 0)
+
+
+@pytest.mark.parametrize("spacing", SPACINGS)
+def test_levels_for_factors(spacing):
+    factors = np.append(np.linspace(0.5, 63.0, 6000), np.arange(1.0, 64.0))
+    levels = levels_for(factors, spacing)
+    assert np.all(widest_pieces(levels, spacing) * np.maximum(factors, 1.0) < 1.0 + 1e-12)
+    assert np.all(levels >= factors - 1e-12)
+    assert levels_for(np.zeros(2), spacing).tolist() == [0, 0]
+    order = np.argsort(factors, kind="stable")
+    assert np.all(np.diff(levels[order]) > -1e-12)
+    if spacing != "equal":
+        coarser = np.maximum(levels - 1e-6, {"fractional-even": 2.0, "fractional-odd": 1.0}[spacing])
+        lower = coarser < levels
+        assert np.all(widest_pieces(coarser[lower], spacing) * factors[lower] > 1.0)
+        assert np.abs(np.diff(levels[order])).max() < 0.05  # no jumps
+
+
+def test_spacing_that_is_none(device, gpu, rng):
+    patches = lattice(rng, 1, 1)
+    with pytest.raises(InputError, match="no spacing 'odd': choose one of equal, fractional-even"):
+        gpu.Renderer(patches, device, "odd")
+    with pytest.raises(InputError, match=r"above the hardware's limit of 63 .*63.5"):
+        gpu.Renderer(patches, device, "fractional-odd").draw(above(), np.full((1, 2), 63.5), np.full((1, 4), 3.0))
+    with pytest.raises(InputError, match="levels must be whole numbers"):
+        gpu.Renderer(patches, device).draw(above(), np.full((1, 2), 3.5), np.full((1, 4), 3.5))
+    with pytest.raises(InputError, match="levels must be numbers"):
+        gpu.Renderer(patches, device, "fractional-even").draw(above(), np.full((1, 2), np.nan), np.full((1, 4), 3.5))
+
+
+def test_patches_that_move(device, gpu, rng):
+    """New control points in the same renderer: the picture of a new renderer."""
+    patches, levels = lattice(rng, 4, 3), np.full((16, 6), 5)
+    renderer = gpu.Renderer(patches, device)
+    renderer.draw(above(), levels[:, :2], levels[:, 2:])
+    moved = 1e3 + 0.7 * patches
+    view = View(Camera.orthographic((1e3, 1e3, 1e3 + 3), (1e3, 1e3, 1e3), up=(0, 1, 0), near=0.5, far=6.0), 256, 256)
+    renderer.move(moved)
+    found, wanted = (r.draw(view, levels[:, :2], levels[:, 2:]) for r in (renderer, gpu.Renderer(moved, device)))
+    for name in ("u", "v", "patch", "depth"):
+        assert np.array_equal(getattr(found, name), getattr(wanted, name))
+    with pytest.raises(InputError, match=r"keep their number and degree: \(16, 4, 4, 3\), not \(15, 4, 4, 3\)"):
+        renderer.move(moved[:15])
+    with pytest.raises(InputError, match=r"patch 3 .* not finite"):
+        renderer.move(np.where(np.arange(16)[:, None, None, None] == 3, np.nan, moved))
 
 
 def test_another_thread_is_refused(device, gpu, rng):

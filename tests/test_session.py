@@ -238,7 +238,7 @@ def test_bad_poses_and_options(walker, teapot, view):
         session.factors(3, 1.0)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="there is no method 'magic'"):
         Session(walker, method="magic")
-    with pytest.raises(InputError, match="a session is of a slefejax.Scene"):
+    with pytest.raises(InputError, match=r"a session is of a slefejax.Scene"):
         Session(np.zeros((1, 4, 4, 3)))  # type: ignore[arg-type]
 
 

@@ -1,5 +1,5 @@
 #version 430
-layout(quads, equal_spacing, ccw) in;
+layout(quads, SPACING, ccw) in;
 
 #include "bezier.glsl"
 
