@@ -6,6 +6,7 @@ from typing import Annotated
 
 from tyro.conf import subcommand
 
+from slefejax.experiments.animate import Animate
 from slefejax.experiments.certify import Certify
 from slefejax.experiments.doctor import Doctor
 from slefejax.experiments.error_time import ErrorTime
@@ -19,6 +20,7 @@ Command = (
     Annotated[Minimality, subcommand("minimality")]
     | Annotated[FactorsOfScene, subcommand("factors")]
     | Annotated[Inspect, subcommand("inspect")]
+    | Annotated[Animate, subcommand("animate")]
     | Annotated[Certify, subcommand("certify")]
     | Annotated[ErrorTime, subcommand("error-time")]
     | Annotated[Scaling, subcommand("scaling")]

@@ -200,7 +200,7 @@ class _View:
             "capped_patches": beyond,
             "triangles": int(triangle_counts(inner, outer).sum()),
             "minimal_triangles": int(2 * np.sum(self.minimal**2)),
-            **error_shares(error),
+            **error_shares(error, seen),
             "sup_error_px": float(uniform.max()),
             "drawn_sup_error_px": float(drawn.max()),
             **ring_effect(uniform[there], drawn[there], self.options.tolerance),

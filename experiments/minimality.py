@@ -10,7 +10,7 @@ import numpy as np
 import tyro
 
 from slefejax import Factors, Scene, View, tessellation_factors
-from slefejax.error import pixel_error
+from slefejax.error import drawn_outside, pixel_error
 from slefejax.errors import InputError
 from slefejax.experiments.options import (
     LoadOptions,
@@ -24,7 +24,7 @@ from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.figures.error_image import write_error_image
 from slefejax.figures.minimality import write_factor_map, write_minimality_figure
-from slefejax.gpu import Renderer, open_device
+from slefejax.gpu import GBuffer, Renderer, open_device
 from slefejax.gpu.renderer import check_levels
 from slefejax.tessellator import triangle_counts
 
@@ -70,7 +70,7 @@ class Minimality:
                 "opengl": {"renderer": device.renderer, "version": device.version},
                 "sum_of_factors": float(np.sum(factors.factor)),
                 "patches_off_screen": int(np.sum(np.asarray(factors.factor) == 0)),
-                "left_out": _left_out(scene, self.prediction),
+                "left_out": self.prediction.left_out(scene),
             }
             out = run.finish(rows, record)
         title = _title(scene, view, factors, self.prediction)
@@ -131,7 +131,7 @@ class _Sweep:
             "segments": self.options.prediction.segments,
             "patches": len(self.scene.patches()),
             "triangles": int(triangle_counts(inner, outer).sum()),
-            **error_shares(error),
+            **error_shares(error, seen),
             "render_ms": render_ms,
             **self.estimate(scale),
         }
@@ -146,7 +146,7 @@ class _Sweep:
             return {f"slefe_{name}": float("nan") for name in names}
         seen = self.renderer.draw(self.view, inner, outer)
         error = pixel_error(self.scene.patches(), self.view, seen.u, seen.v, seen.patch)
-        found = {"triangles": int(triangle_counts(inner, outer).sum()), **error_shares(error)}
+        found = {"triangles": int(triangle_counts(inner, outer).sum()), **error_shares(error, seen)}
         return {f"slefe_{name}": found[name] for name in names}
 
     def draw_pictures(self, rows: list[Row]) -> None:
@@ -179,20 +179,18 @@ def _labels(patch: np.ndarray, factor: np.ndarray, most: int = 80) -> list[tuple
     return [(float(c), float(r), f"{factor[n]:.1f}") for (r, c), n in zip(nearest, large, strict=True)]
 
 
-def error_shares(error: np.ndarray) -> Row:
-    """Covered pixels, the share of them above each threshold, and the largest error."""
-    covered = error[~np.isnan(error)]
+def error_shares(error: np.ndarray, seen: GBuffer) -> Row:
+    """Covered pixels, the share of them above each threshold, and the largest error.
+
+    Pixels that the driver took from outside of their patch (``drawn_outside``) are counted by themselves.
+    """
+    outside = drawn_outside(seen.u, seen.v, seen.patch)
+    covered = error[~np.isnan(error) & ~outside]
     if covered.size == 0:
         raise InputError("the picture is empty: no pixel centre is covered by the scene")
     shares = {f"share_above_{limit:g}": float(np.mean(covered > limit)) for limit in THRESHOLDS}
-    return {"covered_pixels": int(covered.size), **shares, "max_error_px": float(covered.max())}
-
-
-def _left_out(scene: Scene, options: PredictionOptions) -> list[str]:
-    left = list(scene.left_out())
-    if options.depth_tolerance is None:
-        left.append("depth widths: no depth tolerance was given")
-    return left
+    largest = {"max_error_px": float(covered.max()), "drawn_outside": int(outside.sum())}
+    return {"covered_pixels": int(covered.size), **shares, **largest}
 
 
 def _title(scene: Scene, view: View, factors: Factors, options: PredictionOptions) -> str:

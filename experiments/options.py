@@ -5,12 +5,16 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from slefejax.conversion.acc import ALPHA
 from slefejax.errors import InputError
+from slefejax.factors import Request
+from slefejax.rig import Deformation
 from slefejax.scene import Scene, load
+from slefejax.skinning import dual_quaternion_blend, linear_blend
 from slefejax.view import Camera, View, bounding_sphere, frame
 
 Three = tuple[float, float, float]
@@ -42,7 +46,8 @@ class ViewOptions:
         width, height = parse_size(self.size)
         own = self._framed(scene, width / height)
         eye = own.eye if self.eye is None else np.asarray(self.eye)
-        near, far = self._planes(scene, own, eye)
+        near, far = planes(scene, own, eye)
+        near, far = near if self.near is None else self.near, far if self.far is None else self.far
         camera = Camera.look_at(
             eye,
             own.target if self.target is None else self.target,
@@ -61,14 +66,14 @@ class ViewOptions:
             return scene.default_camera(aspect)
         return scene.default_camera(aspect, self.cover, self.up)
 
-    def _planes(self, scene: Scene, own: Camera, eye: np.ndarray) -> tuple[float, float]:
-        """Near and far: as given, else the camera's own, moved so that the whole scene lies between them."""
-        centre, radius = bounding_sphere(scene.points())
-        with np.errstate(over="ignore"):  # the camera says what is wrong with such an eye
-            distance = float(np.linalg.norm(eye - centre))
-        near = own.near if distance - radius > own.near else min(own.near, radius / 1000.0)
-        far = max(own.far, distance + 2.0 * radius)
-        return near if self.near is None else self.near, far if self.far is None else self.far
+
+def planes(scene: Scene, own: Camera, eye: np.ndarray) -> tuple[float, float]:
+    """Near and far: the camera's own, moved so that the whole scene lies between them, seen from another eye."""
+    centre, radius = bounding_sphere(scene.points())
+    with np.errstate(over="ignore"):  # the camera says what is wrong with such an eye
+        distance = float(np.linalg.norm(eye - centre))
+    near = own.near if distance - radius > own.near else min(own.near, radius / 1000.0)
+    return near, max(own.far, distance + 2.0 * radius)
 
 
 def camera_record(view: View) -> dict:
@@ -93,6 +98,12 @@ class LoadOptions:
     """Of .obj files: only faces of these groups or objects."""
     drop_defects: bool = False
     """Leave out faces that keep a mesh from being manifold, instead of refusing it."""
+    time: float | None = None
+    """Of scenes that move: when to look, in the units of the file; at rest if not given."""
+    keys: tuple[str, ...] = ()
+    """Weights of shape keys, such as smile=0.5, instead of the motion's."""
+    deform: Literal["linear", "dual-quaternion"] = "linear"
+    """How bones move vertices."""
 
     def arguments(self) -> dict:
         """Keyword arguments for load."""
@@ -100,8 +111,31 @@ class LoadOptions:
         return {"scheme": self.scheme, "group": self.group or None, **own}
 
     def load(self, scene: str) -> Scene:
-        """The scene of that name or file, with these options."""
-        return load(scene, **self.arguments())
+        """The scene of that name or file, with these options, in the pose that they ask for."""
+        found = load(scene, **self.arguments())
+        if self.time is None and not self.keys:
+            return found
+        if found.rig is None:
+            option = "--keys" if self.time is None else "--time"
+            raise InputError(f"{found.name} does not move: {option} has no meaning for it")
+        return found.posed(found.rig.pose(self.time, self.weights()), self.deformation())
+
+    def deformation(self) -> Deformation:
+        """The function of that name."""
+        return {"linear": linear_blend, "dual-quaternion": dual_quaternion_blend}[self.deform]
+
+    def weights(self) -> dict[str, float] | None:
+        """Names and weights of shape keys, None for the motion's own. Raises InputError for what is none."""
+        found = {}
+        for text in self.keys:
+            name, _, value = text.rpartition("=")
+            try:
+                found[name] = float(value)
+            except ValueError:
+                found[name] = np.nan
+            if not name or not np.isfinite(found[name]):
+                raise InputError(f"--keys are names and weights, such as smile=0.5, not {text!r}")
+        return found or None
 
 
 @dataclass(frozen=True)
@@ -151,6 +185,11 @@ class PredictionOptions:
             "k": self.k,
             "setting": self.setting,
         }
+
+    def left_out(self, scene: Scene) -> tuple[str, ...]:
+        """What is not computed because the scene has no need of it or it was not asked for; a sentence each."""
+        request = Request.of(dimension=scene.control.shape[3], **self.arguments())
+        return (*scene.left_out(), *request.left_out())
 
 
 def parse_size(text: str) -> tuple[int, int]:

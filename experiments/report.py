@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich import box
 from rich.console import Console
 from rich.markup import escape
@@ -25,6 +26,7 @@ HEADINGS = {
     "share_above_1": "> 1 px",
     "covered_pixels": "pixels",
     "max_error_px": "largest px",
+    "drawn_outside": "drawn outside",
     "slefe_triangles": "slefe: triangles",
     "slefe_share_above_0.5": "> 0.5 px",
     "slefe_max_error_px": "largest px",
@@ -40,6 +42,16 @@ HEADINGS = {
     "share_wrong_silhouette": "wrong edge",
     "share_wrong_patch_inside": "wrong inside",
     "us_per_curve": "µs a curve",
+    "skinning_ms": "skin + convert",
+    "boxes_ms": "slefe boxes",
+    "view_ms": "view",
+    "levels_ms": "edges",
+    "hand_over_ms": "hand over",
+    "pop_max_px": "pop px",
+    "pop_p99_px": "pop 99 %",
+    "changed_share": "changed",
+    "sum_of_factors": "factors",
+    "frames_per_second": "frames/s",
 }
 Row = dict[str, Any]
 
@@ -49,6 +61,8 @@ class Report:
     """The outcome of a command: the scene's name, the run's folder, and the table.
 
     status : the exit status;  extra : more entries of the JSON object
+    more   : further tables, (title, rows), shown below the first
+    shown  : of the first, the columns that the terminal shows; all if there are none
     """
 
     scene: str | None
@@ -59,6 +73,8 @@ class Report:
     extra: Row = field(default_factory=dict)
     as_json: bool = False
     status: int = 0
+    more: tuple[tuple[str, list[Row]], ...] = ()
+    shown: tuple[str, ...] = ()
 
     def print(self) -> None:
         """To standard output, at once."""
@@ -67,15 +83,27 @@ class Report:
     def _json(self) -> str:
         out = None if self.out is None else str(self.out)
         content = {"scene": self.scene, "out": out, "notes": list(self.notes), **self.extra, "rows": self.rows}
-        return json.dumps(content) + "\n"
+        return json.dumps(_strict(content), allow_nan=False) + "\n"
 
     def _text(self) -> str:
-        lines = [*(f"Note: {note}" for note in self.notes), self.title, _table(self.rows)]
+        rows = [{name: row[name] for name in self.shown or row} for row in self.rows]
+        lines = [*(f"Note: {note}" for note in self.notes), self.title, _table(rows)]
         if len(self.rows) > MOST_ROWS:
             lines.append(f"… and {len(self.rows) - MOST_ROWS:,} more rows in the table file")
+        for title, rows in self.more:
+            lines += [f"\n{title}", _table(rows)] if rows else []
         if self.out is not None:
             lines.append(f"Results are in {self.out}")
         return "".join(f"{line}\n" for line in lines if line)
+
+
+def _strict(value: Any) -> Any:
+    """The same with null for numbers that JSON does not have."""
+    if isinstance(value, dict):
+        return {key: _strict(part) for key, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_strict(part) for part in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _table(rows: list[Row]) -> str:
@@ -113,6 +141,8 @@ def _heading(name: str) -> str:
 
 
 def _shown(name: str, value: Any) -> str:
+    if isinstance(value, float) and np.isnan(value):
+        return "-"
     if "share" in name:
         return f"{100 * value:.2f} %"
     if isinstance(value, float):

@@ -11,12 +11,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from slefejax import layout
 from slefejax.bezier import evaluate_patch
 from slefejax.errors import InputError
 from slefejax.view import View, homogeneous
+
+_OUTSIDE = 1e-3  # of a parameter; the rasteriser's own rounding is a hundredth of that
 
 
 def pixel_error(
@@ -42,6 +44,17 @@ def pixel_error(
         distance = np.maximum(np.abs(screen[:, 0] - (columns + 0.5)), np.abs(screen[:, 1] - (rows + 0.5)))
         error[at] = np.where(np.isnan(distance), np.inf, distance)
     return error
+
+
+def drawn_outside(
+    u: Float[np.ndarray, "height width"], v: Float[np.ndarray, "height width"], patch: Int[np.ndarray, "height width"]
+) -> Bool[np.ndarray, "height width"]:
+    """Pixels with parameters from outside of the patch, 0 to 1, by more than a thousandth: slips of the driver.
+
+    No triangle has such a point; drivers make them of triangles that are seen edge on, thinner than the grid that they
+    snap corners to.
+    """
+    return (patch >= 0) & (np.maximum(np.abs(u - 0.5), np.abs(v - 0.5)) > 0.5 + _OUTSIDE)
 
 
 def surface_on_screen(

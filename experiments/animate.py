@@ -1,0 +1,185 @@
+"""A scene in motion, frame by frame: factors, triangles, bad pixels, and where the time goes."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+import tyro
+from matplotlib.image import imread
+
+from slefejax import Scene, Session, View
+from slefejax.error import pixel_error
+from slefejax.errors import InputError
+from slefejax.experiments.camera_path import camera_path
+from slefejax.experiments.frames import Frames, Levels, change_of_levels, frame_levels, moves_of_pixels, timed
+from slefejax.experiments.minimality import error_shares
+from slefejax.experiments.modes import MODES, mode_row
+from slefejax.experiments.options import LoadOptions, OutputOptions, PredictionOptions, ViewOptions, camera_record
+from slefejax.experiments.report import Report, progress
+from slefejax.experiments.store import Row, Run, digest, write_csv
+from slefejax.figures.animate import write_film, write_timeline, write_work
+from slefejax.figures.error_image import write_error_image
+from slefejax.gpu import Device, Renderer, open_device
+from slefejax.tessellator import triangle_counts
+
+_LOOKED_AT = 4  # poses that the camera frames
+_SHOWN = (
+    *("frame", "time", "triangles", "share_above_0.5", "max_error_px", "drawn_outside", "changed_share", "pop_max_px"),
+    *("skinning_ms", "boxes_ms", "view_ms", "levels_ms", "hand_over_ms", "render_ms"),
+)
+
+
+@dataclass(frozen=True)
+class Animate:
+    """Move a scene: per frame factors, triangles, bad pixels, time a pass; what posing less often saves; a film."""
+
+    scene: tyro.conf.Positional[str]
+    """A file, or walker, teapot, twisted-quad, steep-patch."""
+    frames: str = "24"
+    """How many frames, spread over the whole motion; or FIRST:LAST:STEP in its units of time."""
+    camera_path: str = "still"
+    """still, orbit:DEGREES (around the target), zoom:FACTOR (so many times as close in the end), or a .csv file with
+    the columns eye_x eye_y eye_z target_x target_y target_z."""
+    spacing: Literal["equal", "fractional-even", "fractional-odd"] = "equal"
+    """How the tessellator places vertices; fractional ones move with the factor instead of coming and going."""
+    seconds: float = 1.0
+    """How long each of the modes (pose every frame, at 33 Hz, never) is run; 0 leaves them out."""
+    prediction: tyro.conf.OmitArgPrefixes[PredictionOptions] = field(default_factory=PredictionOptions)
+    camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
+    loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
+    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def run(self) -> Report:
+        """Move, predict, draw, measure, frame by frame; then the modes, the figures and the film."""
+        self._check()
+        scene = replace(self.loading, time=None, keys=()).load(self.scene)
+        frames = Frames.of(scene, self.frames, self.loading.weights())
+        reached = _reached(scene, frames, self.loading)
+        view = self.camera.view(reached)
+        path = camera_path(self.camera_path, reached, view)
+        session = Session(scene, deform=self.loading.deformation(), **self.prediction.arguments())
+        device = open_device()
+        arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
+        inputs = {"scene": digest(scene.patches().tobytes()), "opengl": device.renderer}
+        with Run("animate", arguments, self.output.out, inputs) as run:
+            film = _Film(scene, frames, [path(share) for share in frames.shares], session, self, run, device)
+            with progress("frames", len(frames.times)) as show:
+                rows = run.each("frame", list(range(len(frames.times))), film.row, show, picture_name)
+            modes = film.modes()
+            film.draw(rows, modes)
+            left_out = session.left_out()
+            record = {"scene": scene.name, "notes": scene.notes, "left_out": left_out, "modes": modes}
+            record |= {"memory": session.memory(), "opengl": {"renderer": device.renderer, "version": device.version}}
+            if modes:
+                write_csv(run.file("modes.csv"), modes)
+            out = run.finish(rows, record)
+        title = f"{scene.name}: {len(scene.patches()):,} patches in {len(rows)} frames at {self.camera.size}"
+        notes = (*scene.notes, *(f"left out: {what}" for what in left_out))
+        more = (("where the time of a frame goes, in milliseconds, and how many frames a second that makes", modes),)
+        return Report(scene.name, out, rows, title, notes, {"modes": modes}, self.output.json, more=more, shown=_SHOWN)
+
+    def _check(self) -> None:
+        if self.loading.time is not None:
+            raise InputError("animate goes through the times of --frames: --time has no meaning for it")
+        if not (np.isfinite(self.seconds) and self.seconds >= 0):
+            raise InputError(f"--seconds must not be negative, not {self.seconds}")
+        fine = self.prediction.anisotropic or self.prediction.verify
+        if self.spacing != "equal" and fine:
+            raise InputError("--anisotropic and --verify find whole levels: they have no meaning with --spacing")
+
+
+def picture_name(frame: int) -> str:
+    """File name of the error image of a frame."""
+    return f"frame_{frame:04d}.png"
+
+
+def _reached(scene: Scene, frames: Frames, loading: LoadOptions) -> Scene:
+    """The scene with the patches of some of the frames, to be framed as a whole."""
+    if not frames.moves:
+        return scene
+    chosen = [frames.poses[k] for k in np.unique(np.linspace(0, len(frames.poses) - 1, _LOOKED_AT).astype(int))]
+    control = [np.asarray(scene.pose(pose, loading.deformation())) for pose in chosen]
+    return replace(scene, control=np.concatenate(control), rig=None, conversion=None)
+
+
+@dataclass
+class _Film:
+    scene: Scene
+    frames: Frames
+    views: list[View]
+    session: Session
+    options: Animate
+    run: Run
+    device: Device
+
+    def __post_init__(self) -> None:
+        self._renderer = Renderer(self.scene.patches(), self.device, self.options.spacing)
+        self._levels: dict[int, Levels] = {}
+
+    def levels(self, frame: int) -> Levels:
+        """Those of a frame; of the last two they are kept."""
+        if frame not in self._levels:
+            found = frame_levels(self.session, self.views[frame], self.frames.poses[frame], self.options.spacing)
+            self._levels = {k: kept for k, kept in self._levels.items() if k == frame - 1} | {frame: found}
+        return self._levels[frame]
+
+    def row(self, frame: int) -> Row:
+        """Predict, draw, measure, and see what would have moved had the levels stayed those of the frame before."""
+        before = self.levels(frame - 1) if frame else None
+        own, view = self.levels(frame), self.views[frame]
+        hand_over_ms = own.milliseconds["hand_over_ms"] + timed(lambda: self._renderer.move(own.patches))
+        self._renderer.submit(view, own.inner, own.outer)  # once unmeasured: the driver may compile
+        render_ms = timed(lambda: self._renderer.submit(view, own.inner, own.outer))
+        seen = self._renderer.read(view)
+        error = pixel_error(own.patches, view, seen.u, seen.v, seen.patch)
+        write_error_image(self.run.file(picture_name(frame)), error)
+        changed = {"changed_share": float("nan"), "pop_p99_px": float("nan"), "pop_max_px": float("nan")}
+        if before is not None:
+            other = self._renderer.draw(view, *before.drawn_with(own))
+            changed = change_of_levels(before, own) | moves_of_pixels(own.patches, view, seen, other)
+        return {
+            "time": float(self.frames.times[frame]),
+            "method": self.options.prediction.method,
+            "spacing": self.options.spacing,
+            "patches": len(own.factor),
+            "visible_patches": int(np.sum(own.factor > 0)),
+            "sum_of_factors": float(own.factor.sum()),
+            "triangles": int(triangle_counts(own.inner, own.outer, self.options.spacing).sum()),
+            **error_shares(error, seen),
+            **changed,
+            **own.milliseconds,
+            "hand_over_ms": hand_over_ms,
+            "render_ms": render_ms,
+        }
+
+    def modes(self) -> list[Row]:
+        """How long frames take if the pose changes with each of them, 33 times a second, or never."""
+        if not self.options.seconds:
+            return []
+        methods = dict.fromkeys((self.options.prediction.method, "slefe"))
+        rows = []
+        with progress("modes", len(MODES) * len(methods)) as show:
+            for method in methods:
+                arguments = {**self.options.prediction.arguments(), "method": method}
+                if method == "slefe":
+                    arguments |= {"anisotropic": False, "verify": False, "setting": None}
+                session = Session(self.scene, deform=self.options.loading.deformation(), **arguments)
+                for mode in MODES:
+                    show(len(rows), mode)
+                    rows.append(mode_row(mode, session, self._renderer, self.frames, self.views, self.options.seconds))
+        return rows
+
+    def draw(self, rows: list[Row], modes: list[Row]) -> None:
+        """The figures and the film."""
+        name, run = self.scene.name, self.run
+        write_timeline(run.file("timeline.png"), rows, name, self.options.prediction.tolerance)
+        if modes:
+            write_work(run.file("work.png"), modes, name, self.device.renderer)
+        pictures = [imread(run.file(picture_name(row["frame"]))) for row in rows]
+        captions = [
+            f"{name}, time {row['time']:g}: {row['triangles']:,} triangles, largest error {row['max_error_px']:.2f} px"
+            for row in rows
+        ]
+        write_film(run.file("animation.gif"), pictures, captions, self.frames.seconds_a_frame)
