@@ -98,6 +98,8 @@ class LoadOptions:
     """Of .obj files: only faces of these groups or objects."""
     drop_defects: bool = False
     """Leave out faces that keep a mesh from being manifold, instead of refusing it."""
+    animation: str | None = None
+    """Of .gltf and .glb files: the name of the animation, if not the first."""
     time: float | None = None
     """Of scenes that move: when to look, in the units of the file; at rest if not given."""
     keys: tuple[str, ...] = ()
@@ -108,7 +110,7 @@ class LoadOptions:
     def arguments(self) -> dict:
         """Keyword arguments for load."""
         own = {"alpha": self.alpha, "steps": self.steps, "drop_defects": self.drop_defects}
-        return {"scheme": self.scheme, "group": self.group or None, **own}
+        return {"scheme": self.scheme, "group": self.group or None, "animation": self.animation, **own}
 
     def load(self, scene: str) -> Scene:
         """The scene of that name or file, with these options, in the pose that they ask for."""

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
 
 from slefejax.errors import InputError
 from slefejax.skinning import Influences, ShapeKeys, rotation_matrices
@@ -277,3 +278,23 @@ class Rig:
             joints = len(self.skeleton.names)
             if self.influences.table.columns != joints:
                 raise InputError(f"influences are of {self.influences.table.columns} joints, the skeleton has {joints}")
+
+
+def transform_of(translation: Any, rotation: Any, scale: Any) -> Float[np.ndarray, "4 4"]:
+    """The matrix of a scale, then a rotation (w, x, y, z), then a translation."""
+    matrix = np.eye(4)
+    w, x, y, z = rotation
+    matrix[:3, :3] = Rotation.from_quat([x, y, z, w]).as_matrix() * np.asarray(scale)
+    matrix[:3, 3] = translation
+    return matrix
+
+
+def transform_parts(matrix: Float[np.ndarray, "4 4"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Translation, rotation (w, x, y, z) and scale of a matrix that is made of them."""
+    upper = matrix[:3, :3]
+    scale = np.linalg.norm(upper, axis=0)
+    if np.linalg.det(upper) < 0:
+        scale[0] = -scale[0]
+    turn = upper / np.where(scale != 0, scale, 1.0)
+    x, y, z, w = Rotation.from_matrix(turn).as_quat()
+    return matrix[:3, 3], np.array([w, x, y, z]), scale

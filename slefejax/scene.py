@@ -37,6 +37,7 @@ from slefejax.framing import PAPERS_SHARE, frame_share
 from slefejax.io.bpt import read_bpt
 from slefejax.io.bv import read_bv
 from slefejax.io.content import Z_UP, Content, Spline
+from slefejax.io.gltf import read_gltf
 from slefejax.io.makehuman import read_makehuman
 from slefejax.io.obj import read_obj
 from slefejax.io.ply import read_ply
@@ -167,13 +168,15 @@ def load(
     steps: Number | None = None,
     group: Any = None,
     drop_defects: Any = False,
+    animation: Any = None,
 ) -> Scene:
-    """A scene from a file (.obj, .ply, .usd…, .3dm, .bpt, .bv), a folder in MakeHuman's formats, or by its built-in
-    name (``"teapot"``, ``"walker"``, ``"twisted-quad"``, ``"steep-patch"``).
+    """A scene from a file (.obj, .ply, .usd…, .gltf, .glb, .3dm, .bpt, .bv), a folder in MakeHuman's formats, or by its
+    built-in name (``"teapot"``, ``"walker"``, ``"twisted-quad"``, ``"steep-patch"``).
 
     scheme, alpha, steps : of control meshes: how patches are made of them (``slefejax.conversion.scheme.convert``)
     group        : of .obj: read only the faces of these groups or objects
     drop_defects : of control meshes: leave out faces that keep them from being manifold, instead of refusing them
+    animation    : of .gltf and .glb: the name of the animation, if not the first
 
     Spline surfaces become Bézier patches exactly. Patches of different degrees are raised to the highest ones, and
     polynomial ones beside rational ones get weights of 1, which leaves their shape as it is. What was changed or left
@@ -193,19 +196,20 @@ def load(
     }
     asked = [name for name, given in {"scheme": scheme != "auto", **options}.items() if given]
     if str(path) in BUILT_IN:
-        return _built_in(str(path), scheme, alpha, steps, asked if group is None else [*asked, "group"])
+        more = [name for name, value in (("group", group), ("animation", animation)) if value is not None]
+        return _built_in(str(path), scheme, alpha, steps, asked + more)
     if not isinstance(path, (str, Path)) or not str(path):
         raise InputError(f"a file name or a built-in scene is needed, not {path!r}")
     if not isinstance(drop_defects, (bool, np.bool_)):
         raise InputError(f"drop_defects must be True or False, not {drop_defects!r}")
     path = Path(path)
-    content = read(path, group)
+    content = read(path, group, animation)
     if content.mesh is None and asked:
         raise InputError(f"{path} holds no control mesh: {asked[0]} has no meaning for it")
     return _scene(path, content, scheme, alpha, steps, bool(drop_defects))
 
 
-def read(path: Path, group: Any = None) -> Content:
+def read(path: Path, group: Any = None, animation: Any = None) -> Content:
     """What a file holds, before anything is made of it. Raises InputError as ``load`` does."""
     reader = READERS.get(path.suffix.lower())
     if path.is_dir() and (path / "base.obj").exists():
@@ -217,11 +221,13 @@ def read(path: Path, group: Any = None) -> Content:
             f"{path}: files of this kind are not read; give a file ending in {', '.join(READERS)}"
             f" or a built-in scene ({', '.join(BUILT_IN)})"
         )
-    if group is None:
-        return reader(path)
-    if reader is not read_obj:
+    if group is not None and reader is not read_obj:
         raise InputError(f"{path}: group has a meaning for .obj files only")
-    return read_obj(path, group)
+    if animation is not None and reader is not read_gltf:
+        raise InputError(f"{path}: animation has a meaning for .gltf and .glb files only")
+    if group is not None:
+        return read_obj(path, group)
+    return reader(path) if animation is None else read_gltf(path, animation)
 
 
 @dataclass(frozen=True)
@@ -322,7 +328,9 @@ def _common_degree(patches: list[np.ndarray]) -> tuple[np.ndarray, tuple[str, ..
 
 def _built_in(name: str, scheme: str, alpha: float, steps: int | None, asked: list[str]) -> Scene:
     made = BUILT_IN[name]()
-    meaningless = [option for option in asked if isinstance(made, Scene) or option in ("group", "drop_defects")]
+    meaningless = [
+        option for option in asked if isinstance(made, Scene) or option in ("group", "drop_defects", "animation")
+    ]
     if meaningless:
         what = "a list of patches, no control mesh" if isinstance(made, Scene) else "built in"
         raise InputError(f"{name} is {what}: {meaningless[0]} has no meaning for it")
@@ -348,6 +356,8 @@ READERS: dict[str, Callable[[Path], Content]] = {
     ".usda": read_usd,
     ".usdc": read_usd,
     ".usdz": read_usd,
+    ".gltf": read_gltf,
+    ".glb": read_gltf,
     ".3dm": read_3dm,
     ".bpt": read_bpt,
     ".bv": read_bv,

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from slefejax.errors import InputError
-from slefejax.rig import Motion, Rig, Skeleton
+from slefejax.rig import Motion, Rig, Skeleton, transform_parts
 from slefejax.skinning import Influences, Key, ShapeKeys
 
 
@@ -176,7 +176,7 @@ class SkelReader:
             for matrix, parent in zip(local, parents, strict=True):
                 own = _matrix(matrix)
                 matrices.append(self.places[number] @ own if parent < 0 else own)
-        parts = [_parts(matrix) for matrix in matrices]
+        parts = [transform_parts(matrix) for matrix in matrices]
         return tuple(np.array(part) for part in zip(*parts, strict=True))  # type: ignore[return-value]
 
     def _weights(self, queries: list[Any], keys: list[str], code: Any) -> list[float]:
@@ -212,16 +212,3 @@ def _weight_times(query: Any) -> list[float]:
 
 def _matrix(matrix: Any) -> np.ndarray:
     return np.array(matrix, np.float64).T
-
-
-def _parts(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Translation, rotation (w, x, y, z) and scale of a matrix that is made of them."""
-    from scipy.spatial.transform import Rotation
-
-    upper = matrix[:3, :3]
-    scale = np.linalg.norm(upper, axis=0)
-    if np.linalg.det(upper) < 0:
-        scale[0] = -scale[0]
-    turn = upper / np.where(scale != 0, scale, 1.0)
-    x, y, z, w = Rotation.from_matrix(turn).as_quat()
-    return matrix[:3, 3], np.array([w, x, y, z]), scale
