@@ -100,6 +100,8 @@ class LoadOptions:
     """Leave out faces that keep a mesh from being manifold, instead of refusing it."""
     animation: str | None = None
     """Of .gltf and .glb files: the name of the animation, if not the first."""
+    copies: int = 1
+    """Of control meshes: how many stand side by side."""
     time: float | None = None
     """Of scenes that move: when to look, in the units of the file; at rest if not given."""
     keys: tuple[str, ...] = ()
@@ -110,7 +112,13 @@ class LoadOptions:
     def arguments(self) -> dict:
         """Keyword arguments for load."""
         own = {"alpha": self.alpha, "steps": self.steps, "drop_defects": self.drop_defects}
-        return {"scheme": self.scheme, "group": self.group or None, "animation": self.animation, **own}
+        return {
+            "scheme": self.scheme,
+            "group": self.group or None,
+            "animation": self.animation,
+            "copies": self.copies,
+            **own,
+        }
 
     def load(self, scene: str) -> Scene:
         """The scene of that name or file, with these options, in the pose that they ask for."""

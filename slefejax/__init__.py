@@ -13,7 +13,7 @@ from slefejax.factors import Factors, tessellation_factors
 from slefejax.mesh import Mesh
 from slefejax.minimal import minimal_factors, minimal_pairs
 from slefejax.rig import Pose
-from slefejax.scene import Scene, load
+from slefejax.scene import Scene, load, save
 from slefejax.session import Session
 from slefejax.skinning import dual_quaternion_blend, linear_blend
 from slefejax.slefe import Slefe, SlefeTable, slefe, slefe_boxes, slefe_table
@@ -44,6 +44,7 @@ __all__ = [
     "minimal_factors",
     "minimal_pairs",
     "sampled_error",
+    "save",
     "slefe",
     "slefe_boxes",
     "slefe_table",

@@ -37,9 +37,11 @@ from slefejax.framing import PAPERS_SHARE, frame_share
 from slefejax.io.bpt import read_bpt
 from slefejax.io.bv import read_bv
 from slefejax.io.content import Z_UP, Content, Spline
+from slefejax.io.copies import with_copies
 from slefejax.io.gltf import read_gltf
 from slefejax.io.makehuman import read_makehuman
 from slefejax.io.obj import read_obj
+from slefejax.io.pair import read_pair, write_pair
 from slefejax.io.ply import read_ply
 from slefejax.io.rhino import read_3dm
 from slefejax.io.usd import read_usd
@@ -169,14 +171,16 @@ def load(
     group: Any = None,
     drop_defects: Any = False,
     animation: Any = None,
+    copies: Any = 1,
 ) -> Scene:
-    """A scene from a file (.obj, .ply, .usd…, .gltf, .glb, .3dm, .bpt, .bv), a folder in MakeHuman's formats, or by its
-    built-in name (``"teapot"``, ``"walker"``, ``"twisted-quad"``, ``"steep-patch"``).
+    """A scene from a file (.obj, .ply, .usd…, .gltf, .glb, .json, .3dm, .bpt, .bv), a folder in MakeHuman's formats, or
+    by its built-in name (``"teapot"``, ``"walker"``, ``"twisted-quad"``, ``"steep-patch"``).
 
     scheme, alpha, steps : of control meshes: how patches are made of them (``slefejax.conversion.scheme.convert``)
     group        : of .obj: read only the faces of these groups or objects
     drop_defects : of control meshes: leave out faces that keep them from being manifold, instead of refusing them
     animation    : of .gltf and .glb: the name of the animation, if not the first
+    copies       : of control meshes: how many of them stand side by side, and move alike
 
     Spline surfaces become Bézier patches exactly. Patches of different degrees are raised to the highest ones, and
     polynomial ones beside rational ones get weights of 1, which leaves their shape as it is. What was changed or left
@@ -190,6 +194,7 @@ def load(
     (32, 4, 4, 3)
     """
     options = {
+        "copies": copies != 1,
         "alpha": alpha is not ALPHA and not np.array_equal(alpha, ALPHA),
         "steps": steps is not None,
         "drop_defects": drop_defects,
@@ -197,7 +202,7 @@ def load(
     asked = [name for name, given in {"scheme": scheme != "auto", **options}.items() if given]
     if str(path) in BUILT_IN:
         more = [name for name, value in (("group", group), ("animation", animation)) if value is not None]
-        return _built_in(str(path), scheme, alpha, steps, asked + more)
+        return _built_in(str(path), scheme, alpha, steps, copies, asked + more)
     if not isinstance(path, (str, Path)) or not str(path):
         raise InputError(f"a file name or a built-in scene is needed, not {path!r}")
     if not isinstance(drop_defects, (bool, np.bool_)):
@@ -206,7 +211,19 @@ def load(
     content = read(path, group, animation)
     if content.mesh is None and asked:
         raise InputError(f"{path} holds no control mesh: {asked[0]} has no meaning for it")
+    content = content if copies == 1 else with_copies(content, copies)
     return _scene(path, content, scheme, alpha, steps, bool(drop_defects))
+
+
+def save(scene: Scene, path: str | Path) -> None:
+    """Write the control mesh of a scene and its rig as a pair of files, .json and .npz, which ``load`` reads again.
+
+    path : of the .json file; the format is in docs/animation.md
+    Raises InputError for a scene without a control mesh, and for a place where nothing can be written.
+    """
+    if scene.conversion is None:
+        raise InputError(f"{scene.name} is no control mesh: only those are saved")
+    write_pair(Path(path), scene.conversion.mesh, scene.rig, scene.up)
 
 
 def read(path: Path, group: Any = None, animation: Any = None) -> Content:
@@ -326,7 +343,7 @@ def _common_degree(patches: list[np.ndarray]) -> tuple[np.ndarray, tuple[str, ..
     )
 
 
-def _built_in(name: str, scheme: str, alpha: float, steps: int | None, asked: list[str]) -> Scene:
+def _built_in(name: str, scheme: str, alpha: float, steps: int | None, copies: int, asked: list[str]) -> Scene:
     made = BUILT_IN[name]()
     meaningless = [
         option for option in asked if isinstance(made, Scene) or option in ("group", "drop_defects", "animation")
@@ -334,7 +351,9 @@ def _built_in(name: str, scheme: str, alpha: float, steps: int | None, asked: li
     if meaningless:
         what = "a list of patches, no control mesh" if isinstance(made, Scene) else "built in"
         raise InputError(f"{name} is {what}: {meaningless[0]} has no meaning for it")
-    return made if isinstance(made, Scene) else _scene(Path(name), made, scheme, alpha, steps, False)
+    if isinstance(made, Scene):
+        return made
+    return _scene(Path(name), with_copies(made, copies), scheme, alpha, steps, False)
 
 
 def _teapot() -> Scene:
@@ -358,6 +377,7 @@ READERS: dict[str, Callable[[Path], Content]] = {
     ".usdz": read_usd,
     ".gltf": read_gltf,
     ".glb": read_gltf,
+    ".json": read_pair,
     ".3dm": read_3dm,
     ".bpt": read_bpt,
     ".bv": read_bv,

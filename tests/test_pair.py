@@ -1,0 +1,180 @@
+"""The .json/.npz pair, and several copies of a scene."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from slefejax import InputError, Session, View, load, save
+from tests.test_io import write
+from tests.test_scene import CUBE
+
+
+@pytest.fixture(scope="module")
+def walker():
+    return load("walker")
+
+
+def test_a_scene_is_saved_and_read_again(tmp_path, walker):
+    save(walker, tmp_path / "figure.json")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["figure.json", "figure.npz"]
+    again: Any = load(tmp_path / "figure.json")
+    assert again.rig.skeleton.names == walker.rig.skeleton.names
+    assert again.rig.keys.names == walker.rig.keys.names
+    assert (again.up, again.rig.rate, again.rig.motion.span) == (walker.up, 24.0, (0.0, 24.0))
+    assert np.array_equal(again.patches(), walker.patches())
+    for time in (0.0, 7.5):
+        np.testing.assert_allclose(again.vertices(time), walker.vertices(time), atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    "name", ["usdskel_blendshapes.usda", "usdskel_two_bends.usda", "fox.glb", "catmark_helmet.obj"]
+)
+def test_real_scenes_are_saved_and_read_again(tmp_path, models, name):
+    """In-betweens, several skeletons, triangles; creases, no rig at all."""
+    scene = load(models / name)
+    save(scene, str(tmp_path / "a.json"))
+    again = load(tmp_path / "a.json")
+    assert np.array_equal(again.patches(), scene.patches())
+    assert (again.rig is None) == (scene.rig is None)
+    if scene.rig is not None:
+        assert scene.rig.motion is not None
+        for time in scene.rig.motion.times[:: max(1, len(scene.rig.motion.times) // 4)].tolist():
+            np.testing.assert_allclose(
+                again.vertices(time), scene.vertices(time), rtol=0, atol=1e-13 * np.abs(scene.patches()).max()
+            )
+
+
+def minimal() -> tuple[dict[str, Any], dict[str, Any]]:
+    """What docs/animation.md lists, by hand: a quad on two joints that nod, and a key."""
+    names = {
+        "format": "slefejax rig",
+        "version": 1,
+        "arrays": "quad.npz",
+        "joints": [{"name": "low", "parent": -1}, {"name": "high", "parent": 0}],
+        "keys": [{"name": "wide"}],
+    }
+    bind = np.tile(np.eye(4), (2, 1, 1))
+    bind[1, 1, 3] = 1.0
+    arrays = {
+        "vertices": np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32),
+        "sizes": [4],
+        "corners": [0, 1, 2, 3],
+        "bind": bind,
+        "influence_joints": [[0], [0], [1], [1]],
+        "influence_weights": [[1.0], [1.0], [2.0], [1.0]],
+        "key0_0_vertices": [1, 2],
+        "key0_0_offsets": [[1.0, 0, 0], [1.0, 0, 0]],
+        "times": [0.0, 1.0],
+        "translations": [[[0, 0, 0], [0, 1, 0]]] * 2,
+        "rotations": [[[1, 0, 0, 0]] * 2, [[1, 0, 0, 0], [3, 3, 0, 0]]],
+        "key_weights": [[0.0], [1.0]],
+    }
+    return names, arrays
+
+
+def put(tmp_path: Path, names: dict, arrays: dict) -> Path:
+    np.savez(tmp_path / "quad.npz", **arrays)
+    (tmp_path / "quad.json").write_text(json.dumps(names))
+    return tmp_path / "quad.json"
+
+
+def test_a_pair_by_hand(tmp_path):
+    scene = load(put(tmp_path, *minimal()))
+    assert scene.rig is not None
+    assert scene.rig.rate == 24.0
+    np.testing.assert_allclose(scene.vertices(1.0), [[0, 0, 0], [2, 0, 0], [2, 1, 0], [0, 1, 0]], atol=1e-15)
+    lifted = scene.rig.pose(1.0, keys=[0.0])
+    np.testing.assert_allclose(scene.vertices(lifted)[:2], [[0, 0, 0], [1, 0, 0]], atol=1e-15)  # type: ignore[index]
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda n, a: n.update(version=2), "none of a pair"),
+        (lambda n, a: n.pop("arrays"), "none of a pair"),
+        (lambda n, a: n.update(arrays="none.npz"), r"there is no file .*none\.npz"),
+        (lambda n, a: n.update(rate=0), "rate a positive number"),
+        (lambda n, a: n.update(up=[0, 0, 0]), "up must be a direction"),
+        (lambda n, a: n["joints"][0].update(parent=1), "'low' is its own ancestor"),
+        (lambda n, a: a.pop("bind"), "needs a bind transform"),
+        (
+            lambda n, a: a.update(influence_joints=[[0], [0], [2], [1]]),
+            "vertex 2 has a weight for bone 2, but there are 2",
+        ),
+        (lambda n, a: a.update(influence_weights=[[1.0], [0.0], [1.0], [1.0]]), "weights of vertex 1 are all zero"),
+        (lambda n, a: a.update(influence_weights=[[1.0], [1.0]]), r"'influence_weights' must be numbers \(4, 1\)"),
+        (lambda n, a: a.update(key0_0_offsets=np.zeros((3, 3))), r"'key0_0_offsets' must be numbers \(2, 3\)"),
+        (lambda n, a: a.update(key0_0_vertices=[1, 9]), "'wide' moves vertex 9, but there are 4"),
+        (lambda n, a: n["keys"][0].update(places=[0.0]), "places of shape key 'wide' must be different numbers"),
+        (lambda n, a: a.update(sizes=[5]), "'sizes' add up to 5, but there are 4 corners"),
+        (lambda n, a: a.update(corners=[0, 1, 2, 7]), "face 0 .* has a vertex 7"),
+        (lambda n, a: a.update(corners=[0.5, 1, 2, 3]), "'corners' must be whole numbers"),
+        (lambda n, a: a.update(times=[1.0, 0.0]), "times of a motion must be finite numbers that grow"),
+        (lambda n, a: a.update(rotations=np.zeros((2, 2, 4))), "a quaternion of no length"),
+        (
+            lambda n, a: a.update(translations=np.full((2, 2, 3), np.nan)),
+            "'translations' holds numbers that are not finite",
+        ),
+        (lambda n, a: a.pop("translations"), "needs both translations and rotations"),
+        (lambda n, a: a.update(vertices=np.array([None] * 4)), "no .npz file of plain arrays"),
+    ],
+)
+def test_pairs_that_are_none(tmp_path, change, says):
+    names, arrays = minimal()
+    change(names, arrays)
+    with pytest.raises(InputError, match=says):
+        load(put(tmp_path, names, arrays))
+
+
+def test_broken_files(tmp_path, teapot):
+    path = put(tmp_path, *minimal())
+    whole = (tmp_path / "quad.npz").read_bytes()
+    for content in (b"", whole[:100], whole[: len(whole) // 2], b"PK" + bytes(500)):
+        (tmp_path / "quad.npz").write_bytes(content)
+        with pytest.raises(InputError, match=r"quad\.npz is no \.npz file of plain arrays, or not whole"):
+            load(path)
+    for text in ("", "[]", "{", '{"format": 3}'):
+        path.write_text(text)
+        with pytest.raises(InputError, match=r"quad\.json is none of a pair"):
+            load(path)
+    with pytest.raises(InputError, match="teapot is no control mesh"):
+        save(teapot, tmp_path / "t.json")
+    with pytest.raises(InputError, match=r"saved under the name of its \.json file"):
+        save(load("walker"), tmp_path / "t.npz")
+    with pytest.raises(InputError, match="cannot be written: No such file or directory"):
+        save(load("walker"), tmp_path / "none" / "t.json")
+
+
+def test_copies_stand_side_by_side_and_move_alike(walker):
+    both: Any = load("walker", copies=2)
+    count = walker.conversion.mesh.vertex_count
+    assert len(both.patches()) == 2 * len(walker.patches())
+    assert len(both.rig.skeleton.names) == 40
+    assert both.rig.skeleton.names[20:22] == ("hips 2", "spine 2")
+    assert both.rig.keys.names[6] == "smile 2"
+    step = np.array([1.1 * np.ptp(walker.conversion.mesh.vertices[:, 0]), 0.0, 0.0])
+    for time in (None, 5.0, 20.5):
+        one, two = (np.asarray(scene.vertices(scene.rig.pose(time))) for scene in (walker, both))
+        np.testing.assert_allclose(two[:count], one, atol=1e-14)
+        np.testing.assert_allclose(two[count:], one + step, atol=1e-14)
+    view = View(both.default_camera(), 480, 300)
+    factors = Session(both, method="slefe").factors(view, both.rig.pose(3.0, keys={"belly 2": 1.0}))
+    assert np.isfinite(factors.factor).all()
+
+
+def test_copies_that_are_none(tmp_path, models):
+    path = write(tmp_path, "cube.obj", CUBE)
+    assert len(load(path, copies=3).patches()) == 18
+    for copies in (0, 1.5, True, 10**6):
+        if copies is not True:
+            with pytest.raises(InputError, match="copies must be a whole number from 1 to 1000"):
+                load(path, copies=copies)
+    with pytest.raises(InputError, match="copies has no meaning"):
+        load("teapot", copies=2)
+    with pytest.raises(InputError, match="holds no control mesh: copies has no meaning"):
+        load(models / "teapot.bpt", copies=2)
