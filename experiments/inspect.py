@@ -20,6 +20,7 @@ from slefejax.error import pixel_error
 from slefejax.errors import InputError, NoOpenGLError
 from slefejax.experiments.options import LoadOptions, OutputOptions, ViewOptions, camera_record
 from slefejax.experiments.report import Report
+from slefejax.experiments.savings import savings
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.figures.inspect import Panels, write_inspect_figure
 from slefejax.gpu import Renderer, open_device
@@ -38,13 +39,15 @@ class Inspect:
     """A file (.obj, .ply, .usd…, .3dm, .bpt, .bv), or teapot, twisted-quad, steep-patch."""
     tolerance: float = 0.5
     """Error in pixels for the factors that the picture shows."""
+    savings: bool = False
+    """Measure what leaving out saves: the passes with what the scene has no need of put in."""
     loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
     camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
     output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def run(self) -> Report:
         """Read, count, convert, draw."""
-        content = None if self.scene in BUILT_IN else read(Path(self.scene), self.loading.arguments()["group"])
+        content = self._content()
         row: Row = {} if content is None or content.mesh is None else mesh_row(content.mesh)
         try:
             scene = self.loading.load(self.scene)
@@ -52,7 +55,7 @@ class Inspect:
             if content is None or content.mesh is None or self.loading.drop_defects or not find_defects(content.mesh):
                 raise
             return self._refused(content, row, str(error))
-        row |= patch_row(scene)
+        row |= patch_row(scene) | rig_row(scene)
         view = self.camera.view(scene)
         arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
         with Run("inspect", arguments, self.output.out, {"scene": digest(scene.patches().tobytes())}) as run:
@@ -60,9 +63,18 @@ class Inspect:
             found, said = _picture(scene, view, self.tolerance, run)
             row |= found
             notes += said
-            out = run.finish([row], {"scene": scene.name, "notes": notes})
+            saved = savings(scene, view) if self.savings else []
+            out = run.finish([row], {"scene": scene.name, "notes": notes, "savings": saved})
         title = f"{scene.name}: {len(scene.patches()):,} patches"
-        return Report(scene.name, out, [row], title, notes, {}, self.output.json)
+        more = (("what leaving out saves: pose and view pass without and with it", saved),)
+        return Report(scene.name, out, [row], title, notes, {"savings": saved}, self.output.json, more=more)
+
+    def _content(self) -> Content | None:
+        """What the file holds; None for a scene that is no file."""
+        if self.scene in BUILT_IN:
+            made = BUILT_IN[self.scene]()
+            return made if isinstance(made, Content) else None
+        return read(Path(self.scene), self.loading.group or None, self.loading.animation)
 
     def _refused(self, content: Content, row: Row, reason: str) -> Report:
         """Of a mesh that makes no scene: what it is, and why not."""
@@ -125,6 +137,24 @@ def patch_row(scene: Scene) -> Row:
             "widest_stencil": int(table.counts.max()),
             "tables_ms": tables_ms,
         }
+    return row
+
+
+def rig_row(scene: Scene) -> Row:
+    """Joints, influences, shape keys and motion, as far as there are any."""
+    rig, row = scene.rig, {}
+    if rig is None:
+        return {}
+    if rig.skeleton is not None and rig.influences is not None:
+        row |= {"joints": len(rig.skeleton.names), "depth_of_the_tree": int(rig.skeleton.depth.max())}
+        row["most_influences"] = rig.influences.most
+    if rig.keys is not None:
+        names = rig.keys.names
+        row["shape_keys"] = f"{len(names)}: " + ", ".join(names[:8]) + (", …" if len(names) > 8 else "")
+        row["moved_coordinates"] = int(rig.keys.table.matrix.nnz)
+    if rig.motion is not None:
+        first, last = rig.motion.span
+        row["motion"] = f"time {first:g} to {last:g}, {len(rig.motion.times)} samples, {rig.rate:g} a second"
     return row
 
 

@@ -52,6 +52,8 @@ HEADINGS = {
     "changed_share": "changed",
     "sum_of_factors": "factors",
     "frames_per_second": "frames/s",
+    "without_ms": "without, ms",
+    "with_ms": "with, ms",
 }
 Row = dict[str, Any]
 

@@ -5,13 +5,15 @@ Kernels run with the patches along the last axis (``slefejax.layout``): control 
 
 from __future__ import annotations
 
-from itertools import product
+from collections.abc import Callable
+from functools import reduce
+from itertools import pairwise, product
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax.lax import select
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from slefejax.slefe import enclose_at, enclose_patch
 from slefejax.view import View
@@ -64,16 +66,16 @@ def factor_of_boxes(
 ) -> Float[Array, "lanes"]:
     """The same from slefe boxes that are there already; of control points only rational ones are looked at."""
     lower, upper = boxes
-    visible = tiles_on_screen(lower, upper, projection.frustum)
+    inside = inside_of_tiles(lower, upper, projection.frustum)
     if lower.shape[2] == 4:
         width, depth = rational_widths(control, projection, segments, with_depth=depth_tolerance is not None)
     else:
         width, depth = projected_widths(lower, upper, projection, with_depth=depth_tolerance is not None)
-    demand = visible_maximum(width, visible) / tolerance
+    demand = visible_maximum(width, inside) / tolerance
     if depth is not None:
-        demand = larger(demand, visible_maximum(depth, visible) / depth_tolerance)
+        demand = larger(demand, visible_maximum(depth, inside) / depth_tolerance)
     factor = tau(demand, k, max(segments))
-    return jnp.where(jnp.any(visible, axis=(0, 1)), factor, 0.0)
+    return select(largest_of(inside) >= 0, factor, jnp.zeros_like(factor))
 
 
 def tau(demand: Any, k: Any, m: int) -> Any:
@@ -85,42 +87,52 @@ def tau(demand: Any, k: Any, m: int) -> Any:
     return jnp.sqrt(larger(square, jnp.ones_like(square)))
 
 
-def tiles_on_screen(lower: Any, upper: Any, frustum: Float[Array, "6 4"]) -> Bool[Array, "mu mv lanes"]:
-    """The Q-test: a tile is off-screen if its four boxes lie outside of one and the same plane of the view volume.
+def inside_of_tiles(lower: Any, upper: Any, frustum: Float[Array, "6 4"]) -> list[list[Any]]:
+    """The Q-test: at least 0, ``(lanes,)`` for every tile, unless its four boxes lie outside of one and the same plane.
 
     Where W > 0 this is the test of the rectangle Q against the screen (2012, section 6), with near and far added; it
     needs no division, so it holds for boxes at and behind the camera too.
     """
-    centre, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
-    inside = None
+    # one box after the other: of arrays of boxes, and of reductions, the compiler makes code that is ten times slower
+    boxes = _each(lower.shape, lambda i, j: (0.5 * (lower[i, j] + upper[i, j]), 0.5 * (upper[i, j] - lower[i, j])))
+    parts = range(lower.shape[2])  # homogeneous points bring their own last coordinate
+    inside: list[list[Any]] | None = None
     for plane in frustum:
-        parts = range(centre.shape[2])  # homogeneous points bring their own last coordinate
-        reach: Any = 0.0 if len(parts) == 4 else plane[3]
-        for a in parts:
-            reach = reach + (plane[a] * centre[:, :, a] + jnp.abs(plane[a]) * half[:, :, a])
-        furthest = _tile_maxima(reach)
-        inside = furthest if inside is None else smaller(inside, furthest)
+
+        def reach(i: int, j: int, plane: Any = plane) -> Any:
+            centre, half = boxes[i][j]
+            start: Any = 0.0 if len(parts) == 4 else plane[3]
+            return start + sum(plane[a] * centre[a] + jnp.abs(plane[a]) * half[a] for a in parts)
+
+        furthest = _tile_maxima(_each(lower.shape, reach))
+        inside = furthest if inside is None else _pairwise(smaller, inside, furthest)
     assert inside is not None
-    return inside >= 0
+    return inside
 
 
-def visible_maximum(width: Grid, visible: Bool[Array, "mu mv lanes"]) -> Float[Array, "lanes"]:
+def visible_maximum(width: Grid, inside: list[list[Any]]) -> Float[Array, "lanes"]:
     """The largest width (2012, eq 8) over the boxes of the tiles that are on the screen; 0 if there is none."""
-    tiles = _tile_maxima(width)
-    return _maximum(select(visible, tiles, jnp.zeros_like(tiles)))
+    tiles = _tile_maxima(_each(width.shape, lambda i, j: width[i, j]))
+    return largest_of(_pairwise(lambda w, i: select(i >= 0, w, jnp.zeros_like(w)), tiles, inside))
 
 
-def _tile_maxima(values: Grid) -> Float[Array, "mu mv lanes"]:
+def largest_of(values: list[list[Any]]) -> Any:
+    """The largest of all."""
+    return reduce(larger, [value for row in values for value in row])
+
+
+def _each(shape: tuple[int, ...], value: Callable[[int, int], Any]) -> list[list[Any]]:
+    return [[value(i, j) for j in range(shape[1])] for i in range(shape[0])]
+
+
+def _pairwise(combine: Callable[[Any, Any], Any], a: list[list[Any]], b: list[list[Any]]) -> list[list[Any]]:
+    return [[combine(x, y) for x, y in zip(p, q, strict=True)] for p, q in zip(a, b, strict=True)]
+
+
+def _tile_maxima(values: list[list[Any]]) -> list[list[Any]]:
     """The largest of the values at the four corners of every tile."""
-    along = larger(values[:-1], values[1:])
-    return larger(along[:, :-1], along[:, 1:])
-
-
-def _maximum(values: Grid) -> Float[Array, "lanes"]:
-    largest = values[0, 0]
-    for i, j in product(range(values.shape[0]), range(values.shape[1])):
-        largest = larger(largest, values[i, j])
-    return largest
+    along = _pairwise(larger, values[:-1], values[1:])
+    return [[larger(x, y) for x, y in pairwise(row)] for row in along]
 
 
 def projected_widths(lower: Any, upper: Any, projection: Projection, with_depth: bool) -> tuple[Grid, Grid | None]:

@@ -14,7 +14,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from slefejax.estimate import Projection, tiles_on_screen
+from slefejax.estimate import Projection, inside_of_tiles
 from slefejax.slefe import enclose_patch
 
 Control = Float[Array, "nu nv dim lanes"]
@@ -76,7 +76,7 @@ def on_screen(control: Control, projection: Projection) -> Any:
     """Whether the box around the control points reaches into the view volume."""
     low, high = jnp.min(control, axis=(0, 1)), jnp.max(control, axis=(0, 1))
     low, high = (jnp.broadcast_to(bound, (2, 2, *bound.shape)) for bound in (low, high))
-    return tiles_on_screen(low, high, projection.frustum)[0, 0]
+    return inside_of_tiles(low, high, projection.frustum)[0][0] >= 0
 
 
 def _undivided(control: Control, projection: Projection) -> list[Any]:

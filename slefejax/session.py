@@ -41,6 +41,7 @@ class _Tables(NamedTuple):
     rest: Any  # (vertices, 3)
     keys: StencilTable | None
     influences: StencilTable | None
+    first: StencilTable | None
     points: StencilTable
     net: Any  # (chunks, nu, nv, lanes)
 
@@ -159,13 +160,16 @@ class Session:
         if scene.rig is None or scene.conversion is None:
             return None
         work, rig = scene.conversion.patchwork, scene.rig
-        return _Tables(
-            jnp.asarray(scene.conversion.mesh.vertices, self._dtype),
+        tables = _Tables(
+            scene.conversion.mesh.vertices,
             rig.keys.table if rig.keys else None,
             rig.influences.table if rig.influences else None,
+            work.first,
             work.points,
-            jnp.asarray(work.packed_net),
+            work.packed_net,
         )
+        floating = lambda x: jnp.issubdtype(x.dtype, jnp.floating)  # noqa: E731
+        return jax.tree.map(lambda x: jnp.asarray(x, self._dtype) if floating(x) else jnp.asarray(x), tables)
 
     def _as_packed(self) -> Any:
         return jnp.asarray(layout.pack(self.scene.control.astype(self._dtype)))
@@ -204,7 +208,8 @@ class Session:
         influences = None if tables.influences is None else Influences(tables.influences)
         rig = replace(rig, keys=keys, influences=influences)
         pose = jax.tree.map(lambda x: x.astype(self._dtype), at if isinstance(at, Pose) else rig.pose(at))
-        return in_layout(tables.points(rig.posed(tables.rest, pose, self._deform)), tables.net)
+        vertices = rig.posed(tables.rest, pose, self._deform)
+        return in_layout(tables.points(vertices if tables.first is None else tables.first(vertices)), tables.net)
 
     def _look(self, view: View) -> Factors:
         count, edges = len(self.scene.control), self.scene.edge_numbers

@@ -28,19 +28,23 @@ class Patchwork:
     net    : ``(patches, du+1, dv+1)``, which of them each patch has
     faces  : ``(patches,)``, the face of the control mesh (or the surface) that each patch comes from
     kinds  : ``(patches,)``, numbers in KINDS
+    first  : table that is applied before ``points``, a step of subdivision; None for none. One table for both would
+             have twice the weights
     """
 
     points: StencilTable
     net: Int[np.ndarray, "patches nu nv"]
     faces: Int[np.ndarray, "patches"]
     kinds: Int[np.ndarray, "patches"]
+    first: StencilTable | None = None
 
     def patches(self, control: Any) -> Any:
         """Control points of all patches by JAX: ``(inputs, dim)`` to ``(patches, du+1, dv+1, dim)``; differentiable."""
-        return self.points(control)[self.net]
+        return self._points(control)[self.net]
 
     def on_host(self, control: Any) -> Float[np.ndarray, "patches nu nv dim"]:
         """The same in float64 by NumPy alone."""
+        control = control if self.first is None else self.first.on_host(control)
         return self.points.on_host(control)[self.net]
 
     @cached_property
@@ -50,7 +54,10 @@ class Patchwork:
 
     def packed(self, control: Any) -> Any:
         """The same by JAX in the layout of the kernels, ``(chunks, du+1, dv+1, dim, lanes)`` (``slefejax.layout``)."""
-        return in_layout(self.points(control), self.packed_net)
+        return in_layout(self._points(control), self.packed_net)
+
+    def _points(self, control: Any) -> Any:
+        return self.points(control if self.first is None else self.first(control))
 
     @cached_property
     def edge_numbers(self) -> Int[np.ndarray, "patches 4"]:

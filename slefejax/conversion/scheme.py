@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -38,14 +38,13 @@ class Conversion:
     scheme: str
     finer: Mesh
     patchwork: Patchwork
-    refinement: StencilTable | None
-    own: Patchwork
     notes: tuple[str, ...]
 
     @cached_property
     def _tangents(self) -> tuple[StencilTable, StencilTable]:
-        du, dv = tangent_tables(self.finer, self.own)
-        return (du, dv) if self.refinement is None else (du @ self.refinement, dv @ self.refinement)
+        du, dv = tangent_tables(self.finer, self.patchwork)
+        first = self.patchwork.first
+        return (du, dv) if first is None else (du @ first, dv @ first)
 
     def tangents(self, vertices: Any) -> tuple[Any, Any]:
         """Tangent patches for shading, ``(patches, 3, 4, 3)`` along u and ``(patches, 4, 3, 3)`` along v, by JAX.
@@ -83,9 +82,8 @@ def convert(mesh: Mesh, scheme: str = "auto", alpha: Any = ALPHA, steps: Any = N
     for _ in range((steps or 1) if chosen == "catmull-clark+acc" else 0):
         finer, table, parents = _one_more(finer, table, parents)
     own = acc_patches(finer, float(alpha))
-    points = own.points if table is None else own.points @ table
-    patchwork = Patchwork(points, own.net, parents, own.kinds)
-    return Conversion(mesh, chosen, finer, patchwork, table, own, _left_out(finer, alpha))
+    patchwork = replace(own, faces=parents, first=table)
+    return Conversion(mesh, chosen, finer, patchwork, _left_out(finer, alpha))
 
 
 def _one_more(
