@@ -101,7 +101,7 @@ def _reached(scene: Scene, frames: Frames, loading: LoadOptions) -> Scene:
         return scene
     chosen = [frames.poses[k] for k in np.unique(np.linspace(0, len(frames.poses) - 1, _LOOKED_AT).astype(int))]
     control = [np.asarray(scene.pose(pose, loading.deformation())) for pose in chosen]
-    return replace(scene, control=np.concatenate(control), rig=None, conversion=None)
+    return replace(scene, control=np.concatenate(control), faces=None, kinds=None, rig=None, conversion=None)
 
 
 @dataclass

@@ -13,7 +13,7 @@ from slefejax.experiments.store import Row
 from slefejax.gpu import Renderer
 
 POSES_A_SECOND = 33.0  # of the papers (animation paper, section 5)
-MODES = ("pose every frame", f"pose at {POSES_A_SECOND:g} Hz, view every frame", "static")
+MODES = ("pose every frame", f"pose at {POSES_A_SECOND:g} Hz, view every frame", "view every frame", "static")
 COLUMNS = ("skinning_ms", "boxes_ms", "view_ms", "levels_ms", "hand_over_ms", "render_ms")
 
 
@@ -49,7 +49,7 @@ class _Player:
     def frame(self, number: int, gone: float) -> Row:
         """Draw one frame; what its parts took, in milliseconds."""
         pose = {MODES[0]: number, MODES[1]: int(gone * POSES_A_SECOND)}.get(self.mode, 0)
-        view = self.views[0] if self.mode == MODES[2] else _there_and_back(self.views, number)
+        view = self.views[0] if self.mode == MODES[3] else _there_and_back(self.views, number)
         levels = frame_levels(
             self.session, view, self.frames.poses[pose % len(self.frames.poses)], self.renderer.spacing
         )

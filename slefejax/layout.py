@@ -46,10 +46,17 @@ def pack(items: Shaped[Array | np.ndarray, "count *rest"]) -> Shaped[Array | np.
 
 def unpack(chunks: Shaped[Array | np.ndarray, "chunks *rest lanes"], count: int) -> Any:
     """The inverse of ``pack``: ``(count, *rest)`` without the padding."""
-    xp: Any = jnp if isinstance(chunks, Tracer) else np
-    items = xp.moveaxis(xp.asarray(chunks), -1, 1)
-    items = items.reshape(-1, *items.shape[2:])[:count]
-    return items if xp is jnp else jnp.asarray(items)
+    return _unpacked(chunks, count, jnp) if isinstance(chunks, Tracer) else jnp.asarray(unpack_on_host(chunks, count))
+
+
+def unpack_on_host(chunks: Any, count: int) -> Shaped[np.ndarray, "count *rest"]:
+    """The same as a NumPy array."""
+    return _unpacked(np.asarray(chunks), count, np)
+
+
+def _unpacked(chunks: Any, count: int, xp: Any) -> Any:
+    items = xp.moveaxis(chunks, -1, 1)
+    return items.reshape(-1, *items.shape[2:])[:count]
 
 
 def over_chunks(kernel: Callable[..., Any], packed: Any, *arguments: Any) -> Any:

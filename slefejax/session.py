@@ -117,7 +117,7 @@ class Session:
         if self._packed is None:
             self._update_pose(None)
         if self._patches is None:
-            self._patches = np.asarray(layout.unpack(np.asarray(self._packed), len(self.scene.control)))
+            self._patches = layout.unpack_on_host(self._packed, len(self.scene.control))
         return self._patches
 
     def left_out(self) -> tuple[str, ...]:
@@ -222,7 +222,7 @@ class Session:
         def patches() -> np.ndarray:
             if packed is self._packed:
                 return self.patches
-            return np.asarray(layout.unpack(np.asarray(packed), len(self.scene.control)))
+            return layout.unpack_on_host(packed, len(self.scene.control))
 
         return patches
 
