@@ -7,6 +7,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.colors import to_rgb
 from matplotlib.font_manager import findfont
 from PIL import Image, ImageDraw, ImageFont
 
@@ -125,4 +126,13 @@ def _captioned(picture: np.ndarray, caption: str) -> Image.Image:
         draw.rectangle((x, y, x + 16, y + 12), colour)
         draw.text((x + 22, y - 3), word, "black", font)
         x += 24 + font.getlength(word)
-    return page.quantize(64, dither=Image.Dither.NONE)
+    return page.quantize(palette=_palette(), dither=Image.Dither.NONE)
+
+
+def _palette() -> Image.Image:
+    """The colours of the classes and greys for text: a palette of the picture's own would leave out rare ones."""
+    classes = [round(255 * part) for _, colour, _ in ERROR_CLASSES for part in to_rgb(colour)]
+    greys = [grey for level in range(0, 256, 15) for grey in (level,) * 3]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(classes + greys)
+    return palette

@@ -83,11 +83,11 @@ class Session:
         self._tables = self._make_tables()
         self._pose_pass = jax.jit(self._move)
         self.recomputed, self.seconds = (), dict.fromkeys(PARTS, 0.0)
-        self._at: Any = None
+        self._at: _Snapshot | None = None
         self._packed: Any = None
         self._boxes: tuple[Any, Any] | None = None
         self._patches: np.ndarray | None = None
-        self._seen: tuple[View, Factors] | None = None
+        self._seen: tuple[_Snapshot, Factors] | None = None
 
     @property
     def moves(self) -> bool:
@@ -106,7 +106,7 @@ class Session:
         looked = self._seen is None or not _same(self._seen[0], view)
         if looked:
             self._seen = None
-            self._seen = (view, self._timed("view", lambda: self._look(view)))
+            self._seen = (_snapshot(view), self._timed("view", lambda: self._look(view)))
         assert self._seen is not None
         self.recomputed = ("pose",) * moved + ("view",) * looked
         return self._seen[1]
@@ -118,6 +118,7 @@ class Session:
             self._update_pose(None)
         if self._patches is None:
             self._patches = layout.unpack_on_host(self._packed, len(self.scene.control))
+            self._patches.flags.writeable = False
         return self._patches
 
     def left_out(self) -> tuple[str, ...]:
@@ -190,13 +191,13 @@ class Session:
     def _update_pose(self, pose: Any) -> bool:
         """Make the control points of a pose, and their boxes, unless they are there."""
         at = self._checked(pose) if self.moves else None
-        if self._packed is not None and _same(self._at, at):
+        if self._packed is not None and self._at is not None and _same(self._at, at):
             return False
         packed = self._timed(PARTS[0], lambda: self._pose_pass(self._tables, at) if self.moves else self._as_packed())
         boxes = None
         if self.request.method == "slefe":
             boxes = self._timed(PARTS[1], lambda: boxes_pass(packed, self.request.fineness))
-        self._at, self._packed, self._boxes = at, packed, boxes
+        self._at, self._packed, self._boxes = _snapshot(at), packed, boxes
         self._patches = self._seen = None
         return True
 
@@ -234,8 +235,19 @@ class Session:
         return found
 
 
-def _same(a: Any, b: Any) -> bool:
-    """Whether two trees of numbers are the same, number by number."""
-    return jax.tree.structure(a) == jax.tree.structure(b) and all(
-        np.array_equal(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+class _Snapshot(NamedTuple):
+    """A tree of numbers as it was: whoever owns the arrays may go on to change them."""
+
+    structure: Any
+    leaves: list[np.ndarray]
+
+
+def _snapshot(tree: Any) -> _Snapshot:
+    return _Snapshot(jax.tree.structure(tree), [np.array(leaf) for leaf in jax.tree.leaves(tree)])
+
+
+def _same(before: _Snapshot, tree: Any) -> bool:
+    """Whether a tree is as it was, number by number."""
+    return before.structure == jax.tree.structure(tree) and all(
+        np.array_equal(a, b) for a, b in zip(before.leaves, jax.tree.leaves(tree), strict=True)
     )

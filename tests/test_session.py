@@ -16,6 +16,7 @@ from slefejax import (
     Pose,
     Session,
     View,
+    convert,
     dual_quaternion_blend,
     load,
     tessellation_factors,
@@ -210,6 +211,37 @@ def test_shape_keys_of_ones_own(walker, view):
         walker.rig.pose(keys=np.zeros(5))
 
 
+def test_arrays_that_change_under_its_hands(walker, view):
+    """The caller's own arrays of camera and pose, changed in place, are seen to have changed; the patches cannot be."""
+    session = Session(walker, **BOX)
+    eye = np.array(view.camera.eye)
+    own = replace(view, camera=replace(view.camera, eye=eye))
+    pose = Pose(np.array(walker.rig.pose(1.0).local), np.zeros(6))
+    first = np.asarray(session.factors(own, pose).factor)
+    eye += 0.1
+    assert np.abs(np.asarray(session.factors(own, pose).factor) - first).max() > 0
+    assert session.recomputed == ("view",)
+    pose.keys[4] = 1.0
+    session.factors(own, pose)
+    assert session.recomputed == ("pose", "view")
+    with pytest.raises(ValueError, match="read-only"):
+        session.patches[0] = 0.0
+
+
+def test_factors_of_a_pose_that_is_gone():
+    """Levels are found when they are asked for: of the pose that the factors are of."""
+    scene, joints = caged_cube()
+    view = View(Camera.look_at((3, -4, 3), (0.5, 0.5, 0.5)), 320, 200)
+    session = Session(scene)
+    taller = joints * np.where(np.arange(4) == 3, [[1], [1], [2.5], [1]], 1.0)
+    first = session.factors(view, Pose(taller))
+    session.factors(view, Pose(joints))
+    wanted = tessellation_factors(np.asarray(scene.pose(Pose(taller))), view, edge_numbers=scene.edge_numbers)
+    assert np.array_equal(first.edges, wanted.edges)
+    assert np.array_equal(first.inner, wanted.inner)
+    assert not np.array_equal(first.edges, session.factors(view, Pose(joints)).edges)
+
+
 def test_float32(walker, view):
     single, double = Session(walker, dtype=np.float32, **BOX), Session(walker, **BOX)
     found, wanted = (session.factors(view, 3.0).factor for session in (single, double))
@@ -252,19 +284,21 @@ def test_scenes_in_a_pose_are_scenes(walker, teapot):
         teapot.posed(0.0)
 
 
-def test_any_function_can_deform(view):
-    """A cage: joints are its corners, a vertex goes where the weighted mean of their moves takes it."""
+def caged_cube() -> tuple[Any, np.ndarray]:
+    """A cube with a joint at every corner, and the bind transforms of these."""
     box = cube()
-    from slefejax.conversion.scheme import convert
-
     conversion = convert(box)
     joints = np.tile(np.eye(4), (8, 1, 1))
     joints[:, :3, 3] = box.vertices
-    rig = Rig(
-        Skeleton.of([f"corner{k}" for k in range(8)], [-1] * 8, joints),
-        Influences.of(np.arange(8)[:, None], np.ones((8, 1)), 8),
-    )
-    scene = Scene("cage", conversion.patchwork.on_host(box.vertices), conversion=conversion, rig=rig)
+    influences = Influences.of(np.arange(8)[:, None], np.ones((8, 1)), 8)
+    rig = Rig(Skeleton.of([f"corner{k}" for k in range(8)], [-1] * 8, joints), influences)
+    return Scene("cage", conversion.patchwork.on_host(box.vertices), conversion=conversion, rig=rig), joints
+
+
+def test_any_function_can_deform(view):
+    """A cage: joints are its corners, a vertex goes where the weighted mean of their moves takes it."""
+    scene, joints = caged_cube()
+    box = cube()
 
     def cage(rest, transforms, influences):
         corners = jnp.asarray(box.vertices)
@@ -277,7 +311,7 @@ def test_any_function_can_deform(view):
     session = Session(scene, deform=cage, **BOX)
     session.factors(View(camera, 320, 200), Pose(lifted))
     sheared = box.vertices + box.vertices[:, :1] * [0, 0, 1]
-    np.testing.assert_allclose(session.patches, conversion.patchwork.on_host(sheared), atol=1e-14)
+    np.testing.assert_allclose(session.patches, scene.conversion.patchwork.on_host(sheared), atol=1e-14)
 
 
 def test_gradients_by_pose_and_keys(walker, rng):
