@@ -12,9 +12,9 @@ from matplotlib.image import imread
 from slefejax import Scene, Session, View
 from slefejax.error import pixel_error
 from slefejax.errors import InputError
-from slefejax.experiments.camera_path import camera_path
+from slefejax.experiments.camera_path import ViewPath, camera_path
 from slefejax.experiments.frames import Frames, Levels, change_of_levels, frame_levels, moves_of_pixels, timed
-from slefejax.experiments.minimality import error_shares
+from slefejax.experiments.minimality import THRESHOLDS, error_shares
 from slefejax.experiments.modes import MODES, mode_row
 from slefejax.experiments.options import LoadOptions, OutputOptions, PredictionOptions, ViewOptions, camera_record
 from slefejax.experiments.report import Report, progress
@@ -25,6 +25,10 @@ from slefejax.gpu import Device, Renderer, open_device
 from slefejax.tessellator import triangle_counts
 
 _LOOKED_AT = 4  # poses that the camera frames
+_NOTHING_SEEN = {"covered_pixels": 0} | dict.fromkeys(
+    (*(f"share_above_{limit:g}" for limit in THRESHOLDS), "max_error_px"), float("nan")
+)
+_NOTHING_SEEN["drawn_outside"] = 0
 _SHOWN = (
     *("frame", "time", "triangles", "share_above_0.5", "max_error_px", "drawn_outside", "changed_share", "pop_max_px"),
     *("skinning_ms", "boxes_ms", "view_ms", "levels_ms", "hand_over_ms", "render_ms"),
@@ -38,7 +42,8 @@ class Animate:
     scene: tyro.conf.Positional[str]
     """A file, or walker, teapot, twisted-quad, steep-patch."""
     frames: str = "24"
-    """How many frames, spread over the whole motion; or FIRST:LAST:STEP in its units of time."""
+    """How many frames, spread over the motion from its first time on, before its last; or FIRST:LAST:STEP in its units
+    of time."""
     camera_path: str = "still"
     """still, orbit:DEGREES (around the target), zoom:FACTOR (so many times as close in the end), or a .csv file with
     the columns eye_x eye_y eye_z target_x target_y target_z."""
@@ -64,7 +69,7 @@ class Animate:
         arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
         inputs = {"scene": digest(scene.patches().tobytes()), "opengl": device.renderer}
         with Run("animate", arguments, self.output.out, inputs) as run:
-            film = _Film(scene, frames, [path(share) for share in frames.shares], session, self, run, device)
+            film = _Film(scene, frames, _views(path, frames), session, self, run, device)
             with progress("frames", len(frames.times)) as show:
                 rows = run.each("frame", list(range(len(frames.times))), film.row, show, picture_name)
             modes = film.modes()
@@ -76,7 +81,7 @@ class Animate:
                 write_csv(run.file("modes.csv"), modes)
             out = run.finish(rows, record)
         title = f"{scene.name}: {len(scene.patches()):,} patches in {len(rows)} frames at {self.camera.size}"
-        notes = (*scene.notes, *(f"left out: {what}" for what in left_out))
+        notes = (*scene.notes, *frames.notes(scene), *(f"left out: {what}" for what in left_out))
         more = (("where the time of a frame goes, in milliseconds, and how many frames a second that makes", modes),)
         return Report(scene.name, out, rows, title, notes, {"modes": modes}, self.output.json, more=more, shown=_SHOWN)
 
@@ -88,6 +93,17 @@ class Animate:
         fine = self.prediction.anisotropic or self.prediction.verify
         if self.spacing != "equal" and fine:
             raise InputError("--anisotropic and --verify find whole levels: they have no meaning with --spacing")
+
+
+def _views(path: ViewPath, frames: Frames) -> list[View]:
+    """The view of every frame. Raises InputError, with the number of the frame, for a camera that is none."""
+    views = []
+    for frame, share in enumerate(frames.shares):
+        try:
+            views.append(path(share))
+        except InputError as error:
+            raise InputError(f"--camera-path, frame {frame}: {error}") from None
+    return views
 
 
 def picture_name(frame: int) -> str:
@@ -147,7 +163,7 @@ class _Film:
             "visible_patches": int(np.sum(own.factor > 0)),
             "sum_of_factors": float(own.factor.sum()),
             "triangles": int(triangle_counts(own.inner, own.outer, self.options.spacing).sum()),
-            **error_shares(error, seen),
+            **(error_shares(error, seen) if (seen.patch >= 0).any() else _NOTHING_SEEN),
             **changed,
             **own.milliseconds,
             "hand_over_ms": hand_over_ms,
@@ -174,12 +190,15 @@ class _Film:
     def draw(self, rows: list[Row], modes: list[Row]) -> None:
         """The figures and the film."""
         name, run = self.scene.name, self.run
-        write_timeline(run.file("timeline.png"), rows, name, self.options.prediction.tolerance)
         if modes:
             write_work(run.file("work.png"), modes, name, self.device.renderer)
+        if not any(row["covered_pixels"] for row in rows):
+            raise InputError("nothing of the scene is on the screen in any frame: turn the camera to it")
+        write_timeline(run.file("timeline.png"), rows, name, self.options.prediction.tolerance)
         pictures = [imread(run.file(picture_name(row["frame"]))) for row in rows]
         captions = [
-            f"{name}, time {row['time']:g}: {row['triangles']:,} triangles, largest error {row['max_error_px']:.2f} px"
+            f"{name}, time {row['time']:.4g}: {row['triangles']:,} triangles,"
+            f" largest error {row['max_error_px']:.2f} px"
             for row in rows
         ]
         write_film(run.file("animation.gif"), pictures, captions, self.frames.seconds_a_frame)

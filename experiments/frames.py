@@ -12,7 +12,7 @@ from jaxtyping import Float, Real
 
 from slefejax import Scene, Session, View
 from slefejax.edges import edge_maxima
-from slefejax.error import surface_on_screen
+from slefejax.error import drawn_outside, surface_on_screen
 from slefejax.errors import InputError
 from slefejax.experiments.store import Row
 from slefejax.gpu import GBuffer
@@ -52,6 +52,13 @@ class Frames:
             motion.check(t)  # type: ignore[union-attr]
         step = (times[-1] - times[0]) / max(1, len(times) - 1) / scene.rig.rate if motion is not None else 0.0
         return Frames(times, poses, shares, motion is not None, step or 1.0 / _STILL_RATE)
+
+    def notes(self, scene: Scene) -> tuple[str, ...]:
+        """A sentence if nothing moves although there is a rig."""
+        motion = None if scene.rig is None else scene.rig.motion
+        if scene.rig is None or (motion is not None and len(motion.times) > 1):
+            return ()
+        return (f"{scene.name} has a rig, but no motion of more than one sample: it stands still",)
 
 
 def _times(text: str, first: float, last: float) -> np.ndarray:
@@ -135,7 +142,8 @@ def moves_of_pixels(patches: np.ndarray, view: View, seen: GBuffer, other: GBuff
     At every pixel where both show the same patch: the distance on the screen, along x or y, between the points of the
     surface whose parameters they have there; its 99 % quantile and maximum.
     """
-    same = (seen.patch >= 0) & (seen.patch == other.patch)
+    outside = [drawn_outside(g.u, g.v, g.patch) for g in (seen, other)]
+    same = (seen.patch >= 0) & (seen.patch == other.patch) & ~outside[0] & ~outside[1]
     if not same.any():
         return {"pop_p99_px": 0.0, "pop_max_px": 0.0}
     places = [

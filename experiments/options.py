@@ -139,6 +139,8 @@ class LoadOptions:
         found = {}
         for text in self.keys:
             name, _, value = text.rpartition("=")
+            if name in found:
+                raise InputError(f"--keys names {name!r} twice")
             try:
                 found[name] = float(value)
             except ValueError:

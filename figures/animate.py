@@ -42,7 +42,7 @@ def write_timeline(path: Path, rows: Rows, scene: str, tolerance: float) -> None
         middle.plot(times, [row["max_error_px"] for row in rows], label="largest of a pixel", **style)
         middle.axhline(tolerance, color="black", lw=1, ls="--", label=f"asked for: {tolerance:g} px")
         middle.set_ylabel("error (pixels)")
-        middle.set_ylim(0, 1.1 * max(tolerance, *(row["max_error_px"] for row in rows)))
+        middle.set_ylim(0, 1.1 * max(tolerance, float(np.nanmax([row["max_error_px"] for row in rows]))))
         middle.legend(loc="lower left", ncols=2)
         popping = rows[1:]
         for name, label, line in (("pop_max_px", "largest", "^-"), ("pop_p99_px", "of 99 % of the pixels", "o--")):
@@ -90,7 +90,8 @@ def _shares(axes: Any, bars: list[tuple[str, dict[str, Any]]]) -> None:
         axes.barh(places, shares, left=starts, color=colour, label=label, edgecolor="white")
         for place, start, share in zip(places, starts, shares, strict=True):
             if share >= 4.0:
-                axes.annotate(f"{share:.0f}", (start + share / 2.0, place), ha="center", va="center", fontsize=10)
+                ink = {"color": "white" if part == "render_ms" else "black", "fontsize": 10}
+                axes.annotate(f"{share:.0f}", (start + share / 2.0, place), ha="center", va="center", **ink)
         starts += shares
     axes.set_yticks(places, [name for name, _ in bars])
     axes.set_xlim(0, 100)
@@ -103,20 +104,34 @@ def write_film(path: Path, pictures: list[np.ndarray], captions: list[str], seco
     """Error images as an animated GIF that repeats. ``pictures``: as ``imread`` gives them, one a frame."""
     shown = np.any([np.any(p[..., :3] != 1.0, axis=2) for p in pictures], axis=0)
     box = occupied(shown)
-    frames = [_captioned(picture[box], caption) for picture, caption in zip(pictures, captions, strict=True)]
+    width = max(_width(picture[box], caption) for picture, caption in zip(pictures, captions, strict=True))
+    frames = [_captioned(picture[box], caption, width) for picture, caption in zip(pictures, captions, strict=True)]
     # GIF counts in hundredths of a second, and viewers slow down below 2
     duration = max(20, 10 * round(100 * seconds_a_frame))
     frames[0].save(path, save_all=True, append_images=frames[1:], duration=duration, loop=0, optimize=False)
 
 
-def _captioned(picture: np.ndarray, caption: str) -> Image.Image:
+def _font() -> Any:
+    return ImageFont.truetype(findfont("DejaVu Sans"), 13)
+
+
+def _words() -> list[str]:
+    return [f"{name}   " for _, _, name in ERROR_CLASSES]
+
+
+def _width(picture: np.ndarray, caption: str) -> int:
+    """Of a frame with its caption; a film has the widest of all its frames."""
+    font = _font()
+    legend = sum(24 + font.getlength(word) for word in _words())
+    return int(max(min(_WIDEST, picture.shape[1]), font.getlength(caption) + 16, legend + 16))
+
+
+def _captioned(picture: np.ndarray, caption: str, wide: int) -> Image.Image:
     """The picture, no wider than the film, with a line of text above it and the colours' meaning below."""
     image = Image.fromarray((255 * picture[..., :3]).astype(np.uint8))
     scale = min(1.0, _WIDEST / image.width)
     image = image.resize((max(1, round(scale * image.width)), max(1, round(scale * image.height))))
-    font: Any = ImageFont.truetype(findfont("DejaVu Sans"), 13)
-    words = [f"{name}   " for _, _, name in ERROR_CLASSES]
-    wide = int(max(image.width, font.getlength(caption) + 16, sum(24 + font.getlength(word) for word in words) + 16))
+    font, words = _font(), _words()
     page = Image.new("RGB", (wide, image.height + 52), "white")
     page.paste(image, ((wide - image.width) // 2, 26))
     draw = ImageDraw.Draw(page)

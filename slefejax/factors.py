@@ -92,8 +92,12 @@ class Factors:
     def _drawn(self) -> tuple[np.ndarray, np.ndarray]:
         if self.certify is not None:
             inner = np.repeat(self.levels[:, None], 2, axis=1) if self.pairs is None else self.pairs
-            return drawn_levels(self.certify(), inner, self.edge_numbers, self.pairs is not None)
-        return np.repeat(self.levels[:, None], 2, axis=1), edge_maxima(self.levels, self.edge_numbers)
+            found = drawn_levels(self.certify(), inner, self.edge_numbers, self.pairs is not None)
+        else:
+            found = np.repeat(self.levels[:, None], 2, axis=1), edge_maxima(self.levels, self.edge_numbers)
+        for levels in found:
+            levels.flags.writeable = False
+        return found
 
     def scaled(self, scale: float) -> Factors:
         """The same with every factor multiplied by ``scale`` > 0, to see whether less would do."""

@@ -12,16 +12,25 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
+from slefejax.arguments import floating
 from slefejax.errors import InputError
 from slefejax.skinning import Influences, ShapeKeys, rotation_matrices
 
 Deformation = Callable[[Any, Any, Influences], Any]
+
+
+def check_time(time: Any) -> None:
+    """Raise InputError for what is no single number."""
+    number = isinstance(time, (int, float, np.number, np.ndarray, jax.Array)) and not isinstance(time, bool)
+    if not number or np.ndim(time) != 0 or np.iscomplexobj(time) or np.asarray(time).dtype.kind not in "fiu":
+        raise InputError(f"a time must be a number, not {time!r}")
 
 
 class Pose(NamedTuple):
@@ -100,17 +109,17 @@ class Skeleton:
         return parent @ self.bind
 
     def world(self, local: Any) -> Any:
-        """``(joints, 4, 4)`` world transforms of local ones, one generation after the other; differentiable."""
-        generations = [np.flatnonzero(self.depth == d) for d in range(int(self.depth.max()) + 1)]
-        found, place = local[generations[0]], np.empty(len(self.parents), np.int64)
-        place[generations[0]] = np.arange(len(generations[0]))
-        done = len(generations[0])
-        for joints in generations[1:]:
-            own = jnp.einsum("jab,jbc->jac", found[place[self.parents[joints]]], local[joints])
-            found = jnp.concatenate([found, own])
-            place[joints] = done + np.arange(len(joints))
-            done += len(joints)
-        return found[place]
+        """``(joints, 4, 4)`` world transforms of local ones; differentiable.
+
+        Products of 1, 2, 4 … generations: as many steps as the depth of the tree has binary digits.
+        """
+        found, above = jnp.asarray(local), self.parents
+        while np.any(above >= 0):
+            known = (above >= 0)[:, None, None]
+            product = jnp.einsum("jab,jbc->jac", found[np.maximum(above, 0)], found)
+            found = jnp.where(known, product, found)
+            above = np.where(above >= 0, above[np.maximum(above, 0)], -1)
+        return found
 
     def transforms(self, local: Any) -> Any:
         """``(joints, 3, 4)``: what moves vertices of the rest pose, world times inverse bind."""
@@ -150,7 +159,10 @@ class Motion:
     def check(self, time: Any) -> None:
         """Raise InputError for a time outside of the motion's own; a traced time cannot be looked at."""
         first, last = self.span
-        if not isinstance(time, Tracer) and len(self.times) > 1 and not first <= float(time) <= last:
+        if isinstance(time, Tracer):
+            return
+        check_time(time)
+        if len(self.times) > 1 and not first <= float(time) <= last:
             raise InputError(f"time {float(time):g} lies outside of the motion, {first:g} to {last:g}")
 
     def _between(self, time: Any) -> tuple[Any, Any]:
@@ -187,7 +199,7 @@ def _arc(p: Any, q: Any, share: Any) -> Any:
     """Spherical interpolation of unit quaternions, the short way; straight where they are close."""
     cosine = jnp.sum(p * q, axis=-1, keepdims=True)
     q, cosine = jnp.where(cosine < 0, -q, q), jnp.abs(cosine)
-    near = cosine > 1.0 - 1e-8
+    near = cosine > 1.0 - float(jnp.finfo(cosine.dtype).eps) ** 0.5
     angle = jnp.arccos(jnp.where(near, 0.0, cosine))
     sine = jnp.sin(angle)
     a = jnp.where(near, 1.0 - share, jnp.sin((1.0 - share) * angle) / sine)
@@ -255,21 +267,23 @@ class Rig:
 
         Raises InputError for a pose of another number of joints or keys, and for parts that this rig does not have.
         """
-        self.check(pose)
+        pose = self.check(pose)
         if pose.keys is not None and self.keys is not None:
             rest = rest + self.keys.offsets(pose.keys)
         if pose.local is not None and self.skeleton is not None:
             rest = deform(rest, self.skeleton.transforms(pose.local), self.influences)  # type: ignore[arg-type]
         return rest
 
-    def check(self, pose: Pose) -> None:
-        """Raise InputError for a pose of another number of joints or keys."""
+    def check(self, pose: Pose) -> Pose:
+        """The pose as arrays. Raises InputError for what are no numbers, or of another number of joints or keys."""
+        pose = Pose(*(None if part is None else floating(part) for part in pose))
         joints = 0 if self.skeleton is None else len(self.skeleton.names)
         keys = 0 if self.keys is None else len(self.keys.names)
         if pose.local is not None and np.shape(pose.local) != (joints, 4, 4):
             raise InputError(f"a pose of {joints} joints needs transforms ({joints}, 4, 4), not {np.shape(pose.local)}")
         if pose.keys is not None and np.shape(pose.keys) != (keys,):
             raise InputError(f"a pose of {keys} shape keys needs weights ({keys},), not {np.shape(pose.keys)}")
+        return pose
 
     def __post_init__(self) -> None:
         if (self.skeleton is None) != (self.influences is None):

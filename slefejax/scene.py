@@ -215,12 +215,14 @@ def load(
     return _scene(path, content, scheme, alpha, steps, bool(drop_defects))
 
 
-def save(scene: Scene, path: str | Path) -> None:
+def save(scene: Any, path: Any) -> None:
     """Write the control mesh of a scene and its rig as a pair of files, .json and .npz, which ``load`` reads again.
 
-    path : of the .json file; the format is in docs/animation.md
+    scene : from ``load``;  path : of the .json file; the format is in docs/animation.md
     Raises InputError for a scene without a control mesh, and for a place where nothing can be written.
     """
+    if not isinstance(scene, Scene) or not isinstance(path, (str, Path)) or not str(path):
+        raise InputError("save needs a scene and the name of a .json file")
     if scene.conversion is None:
         raise InputError(f"{scene.name} is no control mesh: only those are saved")
     write_pair(Path(path), scene.conversion.mesh, scene.rig, scene.up)

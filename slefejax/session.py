@@ -24,7 +24,7 @@ from slefejax.conversion.patchwork import in_layout
 from slefejax.errors import InputError
 from slefejax.estimate import Projection
 from slefejax.factors import Factors, Request, factors_of, view_pass
-from slefejax.rig import Deformation, Pose
+from slefejax.rig import Deformation, Pose, check_time
 from slefejax.scene import Scene
 from slefejax.skinning import Influences, linear_blend
 from slefejax.slefe import boxes_pass
@@ -78,6 +78,10 @@ class Session:
         check_weights(scene.control)
         self.scene = scene
         self.request = Request.of(dimension=scene.control.shape[3], **options)
+        if not callable(deform):
+            raise InputError(f"deform must be a function such as slefejax.linear_blend, not {deform!r}")
+        if dtype is not None and str(getattr(dtype, "__name__", dtype)) not in ("float32", "float64"):
+            raise InputError(f"dtype must be float32 or float64, not {dtype!r}")
         self._deform = deform
         self._dtype = jax.dtypes.canonicalize_dtype(np.float64 if dtype is None else dtype)
         self._tables = self._make_tables()
@@ -101,7 +105,9 @@ class Session:
 
         Raises InputError for a time outside of the motion, a pose of another rig, or as ``tessellation_factors`` does.
         """
-        self.seconds = dict.fromkeys(PARTS, 0.0)
+        if isinstance(jnp.zeros(()), Tracer):
+            raise InputError("a session keeps what it computed: inside of jit and grad call Scene.pose instead")
+        self.recomputed, self.seconds = (), dict.fromkeys(PARTS, 0.0)
         moved = self._update_pose(pose)
         looked = self._seen is None or not _same(self._seen[0], view)
         if looked:
@@ -134,9 +140,10 @@ class Session:
         ['view']
         """
         found = {}
-        packed: Any = self._as_packed()
+        if not isinstance(view, View):
+            raise InputError(f"the view must be a slefejax.View, not {type(view).__name__}")
+        packed, at = self._as_packed(), self._checked(pose)
         if self.moves:
-            at = self._checked(pose)
             found["skinning and conversion"], packed = jax.make_jaxpr(self._move, return_shape=True)(self._tables, at)
         boxes = None
         if self.request.method == "slefe":
@@ -177,20 +184,20 @@ class Session:
 
     def _checked(self, pose: Any) -> Any:
         """What the pose pass takes: a Pose, or a number."""
-        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(pose)):
-            raise InputError("a session keeps what it computed: inside of jit and grad call Scene.pose instead")
+        if pose is not None and not isinstance(pose, Pose):
+            check_time(pose)
         rig = self.scene.rig
-        assert rig is not None
+        if rig is None or not self.moves:
+            return None
         if pose is None or rig.motion is None or isinstance(pose, Pose):
-            found = pose if isinstance(pose, Pose) else Pose()
-            rig.check(found)
+            found = rig.check(pose if isinstance(pose, Pose) else Pose())
             return jax.tree.map(lambda x: np.asarray(x, np.float64), found)
         rig.motion.check(pose)
         return np.float64(pose)
 
     def _update_pose(self, pose: Any) -> bool:
         """Make the control points of a pose, and their boxes, unless they are there."""
-        at = self._checked(pose) if self.moves else None
+        at = self._checked(pose)
         if self._packed is not None and self._at is not None and _same(self._at, at):
             return False
         packed = self._timed(PARTS[0], lambda: self._pose_pass(self._tables, at) if self.moves else self._as_packed())

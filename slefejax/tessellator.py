@@ -42,25 +42,28 @@ def segments(levels: Real[np.ndarray, "*shape"], spacing: str) -> Int[np.ndarray
     ([0, 2, 2, 4, 4], [0, 1, 1, 3, 5])
     """
     check_spacing(spacing)
-    whole = np.ceil(np.asarray(levels)).astype(np.int64)
+    levels = np.asarray(levels, np.float64)
+    if not np.all((levels >= 0) & (levels < 2**31)):
+        raise InputError("levels must be numbers from 0 on that a tessellator could have")
+    whole = np.ceil(levels).astype(np.int64)
     if spacing == "fractional-even":
         whole = np.maximum(whole + whole % 2, 2)
     elif spacing == "fractional-odd":
         whole = np.maximum(whole + (1 - whole % 2), 1)
-    return np.where(np.asarray(levels) > 0, whole, 0)
+    return np.where(levels > 0, whole, 0)
 
 
 def widest_pieces(levels: Real[np.ndarray, "*shape"], spacing: str) -> Float[np.ndarray, "*shape"]:
-    """The width of the pieces of a level > 0: with fractional spacing up to a third more than 1/level.
+    """The widest piece of a level, infinite for 0: with fractional spacing up to a third more than 1/level.
 
     OpenGL leaves it open; as Direct3D 11 has it, widths go in a straight line from one number of segments to the next.
     """
-    n = segments(levels, spacing)
+    n, levels = segments(levels, spacing), np.asarray(levels, np.float64)
     if spacing == "equal":
-        return 1.0 / n
+        return np.where(n > 0, 1.0 / np.maximum(n, 1), np.inf)
     low = np.maximum(n - 2, 1)
     share = np.clip((levels - low) / np.maximum(n - low, 1), 0.0, 1.0)
-    return (1.0 - share) / low + share / n
+    return np.where(n > 0, (1.0 - share) / low + share / np.maximum(n, 1), np.inf)
 
 
 def levels_for(factors: Real[np.ndarray, "*shape"], spacing: str) -> Real[np.ndarray, "*shape"]:
@@ -69,14 +72,14 @@ def levels_for(factors: Real[np.ndarray, "*shape"], spacing: str) -> Real[np.nda
     >>> levels_for(np.array([0.0, 1.5, 2.0, 6.0]), "fractional-odd").tolist()
     [0.0, 2.0, 2.5, 6.166666666666667]
     """
-    n = segments(factors, spacing)
+    n, factors = segments(factors, spacing), np.asarray(factors, np.float64)
     if spacing == "equal":
         return n
     low = np.where(n > 2, n - 2, 1)
     share = (1.0 / low - 1.0 / np.maximum(factors, 1.0)) / (1.0 / low - 1.0 / np.maximum(n, 2))
     lowest = 2.0 if spacing == "fractional-even" else 1.0
     found = np.where(n > lowest, low + (n - low) * np.clip(share, 0.0, 1.0), lowest)
-    return np.where(np.asarray(factors) > 0, found, 0.0)
+    return np.where(factors > 0, found, 0.0)
 
 
 def _effective(inner: Inner, outer: Outer, spacing: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

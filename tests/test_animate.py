@@ -130,6 +130,7 @@ def test_a_stopped_film_continues_where_it_was(device, capsys, monkeypatch):
         (["--camera-path", "zoom:-2"], "needs a positive number behind the colon"),
         (["--camera-path", "none.csv"], "there is no file none.csv"),
         (["--keys", "grin=1"], "no shape key 'grin'"),
+        (["--keys", "smile=1", "smile=2"], "--keys names 'smile' twice"),
         (["--keys", "smile"], "--keys are names and weights, such as smile=0.5, not 'smile'"),
         (["--method", "certified", "--verify", "--spacing", "fractional-odd"], "have no meaning with --spacing"),
     ],
@@ -138,6 +139,22 @@ def test_bad_arguments(device, capsys, arguments, says):
     assert main(["animate", "walker", *SMALL, *arguments]) == 2
     assert says in capsys.readouterr().err
     assert not os.path.exists("runs")
+
+
+@pytest.mark.gl
+def test_frames_in_which_nothing_is_seen(device, capsys, tmp_path):
+    """A path that looks away goes on; one that always does, or has no camera, is refused."""
+    head = "eye_x,eye_y,eye_z,target_x,target_y,target_z\n"
+    (tmp_path / "away.csv").write_text(head + "0,-8,2,0,0,1\n0,-8,2,0,-20,1\n")
+    result = run_json(capsys, "animate", "teapot", *SMALL[:4], "--seconds", "0", *FAST, "--camera-path", "away.csv")
+    assert [row["covered_pixels"] > 0 for row in result["rows"]] == [True, False, False]
+    assert result["rows"][2]["max_error_px"] is None
+    (tmp_path / "never.csv").write_text(head + "0,-8,2,0,-20,1\n")
+    assert main(["animate", "teapot", *SMALL, *FAST, "--camera-path", "never.csv"]) == 2
+    assert "nothing of the scene is on the screen in any frame" in capsys.readouterr().err
+    (tmp_path / "none.csv").write_text(head + "0,-8,2,0,0,1\n0,0,1,0,0,1\n")
+    assert main(["animate", "teapot", *SMALL, *FAST, "--camera-path", "none.csv"]) == 2
+    assert "--camera-path, frame 2: the camera's eye and target coincide" in capsys.readouterr().err
 
 
 def test_poses_on_the_command_line(capsys, walker):

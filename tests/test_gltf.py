@@ -345,7 +345,14 @@ def broken(rng):
         (put("skins", 0, "inverseBindMatrices", 0), "must have 16 components"),
         (put("meshes", 0, "primitives", []), "there are no triangles in it"),
         (put("meshes", 0, "primitives", 0, "attributes", {}), r"not glTF as it should be \(KeyError: 'POSITION'\)"),
-        (put("accessors", 0, "count", 10**7), "ends before its 10000000 elements do"),
+        (put("accessors", 0, "count", 10**6), "ends before its 1000000 elements do"),
+        (put("accessors", 0, "count", 10**7), "has 30,000,000 numbers, more than 20,000,000"),
+        (put("meshes", 0, "primitives", 0, "attributes", "JOINTS_0", 2), "whole numbers without a sign"),
+        (
+            put("nodes", 0, {"matrix": [1, 0, 0, 0, 1, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1], "children": [1, 3]}),
+            "has a shear",
+        ),
+        (put("buffers", 0, "uri", "a\0b"), "cannot be read"),
         (put("accessors", 0, "count", -1), "needs a whole number as its count, not -1"),
         (put("accessors", 0, "count", 11), "makes no whole|11 corners|has 12 rows for 11|12 offsets for 11"),
         (put("bufferViews", 0, "byteOffset", 10**9), "ends before its"),
@@ -360,14 +367,55 @@ def broken(rng):
     ]
 
 
-@pytest.mark.parametrize("case", range(23))
+@pytest.mark.parametrize("case", range(27))
 def test_broken_files(tmp_path, rng, case):
     change, says = broken(rng)[case]
     _, content = figure(rng)
     change(content)
     with pytest.raises(InputError, match=says) as caught:
         load(save(tmp_path, content))
-    assert "a.gltf" in str(caught.value) or "missing.bin" in str(caught.value)
+    said = str(caught.value)
+    assert any(name in said for name in ("a.gltf", "missing.bin", "a\0b"))
+    assert "InputError" not in said
+
+
+def test_long_chains_and_long_animations(tmp_path, rng):
+    """A chain of 300 nodes is posed in a few steps; what would take gigabytes is refused."""
+    writer = Writer()
+    primitive = {
+        "attributes": {"POSITION": writer.array(TETRAHEDRON)},
+        "indices": writer.array(FACES.ravel()[:, None], "<u2"),
+    }
+    times = writer.array(np.arange(3000.0))
+    samplers = [{"input": times, "output": writer.array(rng.normal(size=(3000, 3)))}]
+    channels = [{"sampler": 0, "target": {"node": 0, "path": "translation"}}]
+    animations = [{"samplers": samplers, "channels": channels}]
+    nodes: list[dict] = [{"children": [k + 1], "translation": [0, 0, 1]} for k in range(299)] + [{"mesh": 0}]
+    content = writer.content(nodes=nodes, meshes=[{"primitives": [primitive]}], animations=animations)
+    scene = load(save(tmp_path, content))
+    first = stored(writer, samplers[0]["output"])
+    for t in (0.0, 7.0):
+        found = np.asarray(scene.vertices(t))
+        np.testing.assert_allclose(found.min(axis=0), first[int(t)] + [0, 0, 298], atol=1e-12)
+    nodes[299:] = [{"children": [k + 1]} for k in range(299, 1999)] + [{"mesh": 0}]
+    with pytest.raises(InputError, match=r"3,000 times of 2,000 nodes, more than"):
+        load(save(tmp_path, content))
+
+
+def test_a_node_of_no_size_hides_its_mesh(tmp_path):
+    writer = Writer()
+    primitive = {
+        "attributes": {"POSITION": writer.array(TETRAHEDRON)},
+        "indices": writer.array(FACES.ravel()[:, None], "<u2"),
+    }
+    samplers = [{"input": writer.array([0.0, 1.0]), "output": writer.array([[0, 0, 0], [2, 2, 2]])}]
+    channels = [{"sampler": 0, "target": {"node": 0, "path": "scale"}}]
+    animations = [{"samplers": samplers, "channels": channels}]
+    nodes = [{"mesh": 0, "scale": [0, 0, 0]}]
+    content = writer.content(nodes=nodes, meshes=[{"primitives": [primitive]}], animations=animations)
+    scene = load(save(tmp_path, content))
+    assert np.abs(scene.vertices(0.0)).max() == 0.0
+    np.testing.assert_allclose(np.max(scene.vertices(1.0), axis=0), [2, 2, 2], atol=1e-15)
 
 
 def test_broken_containers(tmp_path, models):

@@ -142,6 +142,21 @@ def test_broken_files(tmp_path, teapot):
         path.write_text(text)
         with pytest.raises(InputError, match=r"quad\.json is none of a pair"):
             load(path)
+    np.save(tmp_path / "one.npy", np.zeros(3))
+    (tmp_path / "quad.npz").write_bytes((tmp_path / "one.npy").read_bytes())
+    path.write_text(json.dumps(minimal()[0]))
+    with pytest.raises(InputError, match=r"no \.npz file of plain arrays"):
+        load(path)
+    for rate in (10**400, "x"):
+        path.write_text(json.dumps(minimal()[0] | {"rate": rate}))
+        with pytest.raises(InputError, match=r"quad\.json is none of a pair"):
+            load(path)
+    path.write_text(json.dumps(minimal()[0] | {"arrays": "a\0"}))
+    with pytest.raises(InputError, match="cannot be read"):
+        load(path)
+    for scene, place in ((teapot, 5), (3, path), (teapot, "")):
+        with pytest.raises(InputError, match="save needs a scene and the name"):
+            save(scene, place)
     with pytest.raises(InputError, match="teapot is no control mesh"):
         save(teapot, tmp_path / "t.json")
     with pytest.raises(InputError, match=r"saved under the name of its \.json file"):

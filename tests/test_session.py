@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 from typing import Any
 
@@ -324,3 +326,57 @@ def test_gradients_by_pose_and_keys(walker, rng):
     there, back = (number(Pose(*(a + s * b for a, b in zip(pose, way, strict=True)))) for s in (1e-6, -1e-6))
     along = sum(np.sum(np.asarray(g) * w) for g, w in zip(gradient, way, strict=True))
     np.testing.assert_allclose(along, (there - back) / 2e-6, rtol=1e-7)
+
+
+def test_inside_of_jit_is_refused_and_harms_nothing(walker, view):
+    session = Session(walker, **BOX)
+
+    def total(x):
+        return session.factors(view, 0.0).factor.sum() + x
+
+    with pytest.raises(InputError, match=r"inside of jit and grad call Scene\.pose"):
+        jax.jit(total)(1.0)
+    assert np.isfinite(np.asarray(session.factors(view, 0.0).factor)).all()
+
+
+PLAIN = """
+import jax, numpy as np, slefejax as sj
+walker = sj.load("walker")
+for time in (0.0, 0.5, 24.0):
+    found = np.asarray(walker.pose(time))
+    assert found.dtype == np.float32 and np.isfinite(found).all()
+    assert np.isfinite(jax.jacfwd(lambda t: walker.rig.pose(t).local)(time)).all()
+view = sj.View(walker.default_camera(), 320, 200)
+assert np.isfinite(np.asarray(sj.Session(walker, method="slefe").factors(view, 3.0).factor)).all()
+"""
+
+
+def test_where_jax_has_no_float64():
+    """JAX's default; motion between equal rotations too."""
+    subprocess.run([sys.executable, "-c", PLAIN], check=True)
+
+
+def test_lists_are_poses_and_other_things_are_none(walker, teapot, main_view, view):
+    session = Session(walker, **BOX)
+    pose = walker.rig.pose(2.0)
+    wanted = np.asarray(session.factors(view, 2.0).factor)
+    lists = Pose(np.asarray(pose.local).tolist(), tuple(np.asarray(pose.keys).tolist()))
+    np.testing.assert_allclose(session.factors(view, lists).factor, wanted, rtol=1e-12)
+    np.testing.assert_allclose(walker.pose(lists), walker.pose(2.0), atol=1e-14)
+    for time in ("abc", "3", True, [1.0], {}, 1 + 2j, object(), np.zeros(2)):
+        with pytest.raises(InputError, match="a time must be a number"):
+            session.factors(view, time)
+        with pytest.raises(InputError, match="a time must be a number"):
+            Session(teapot, **BOX).factors(main_view, time)
+    assert session.recomputed == ()
+    for keys in ([None] * 6, ["a"] * 6, np.zeros(6) * 1j):
+        with pytest.raises(InputError, match="an array of"):
+            session.factors(view, Pose(None, keys))
+    for deform in (3, "linear", None):
+        with pytest.raises(InputError, match="deform must be a function"):
+            Session(walker, deform=deform)  # type: ignore[arg-type]
+    for dtype in ("int32", np.complex64, "x", np.float16):
+        with pytest.raises(InputError, match="dtype must be float32 or float64"):
+            Session(walker, dtype=dtype)
+    with pytest.raises(ValueError, match="read-only"):
+        session.factors(view, 2.0).inner[:] = 7

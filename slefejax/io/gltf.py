@@ -21,6 +21,8 @@ from slefejax.mesh import Mesh
 from slefejax.rig import Rig, Skeleton, transform_of, transform_parts
 from slefejax.skinning import Influences, Key, ShapeKeys
 
+_MOST_NODES = 20_000
+
 
 @dataclass
 class Node:
@@ -86,7 +88,9 @@ def read_gltf(path: Path, animation: Any = None) -> Content:
     file = GltfFile.of(path)
     try:
         return _content(file, animation)
-    except (KeyError, TypeError, IndexError, AttributeError, ValueError, OverflowError) as error:
+    except InputError:
+        raise
+    except (KeyError, TypeError, IndexError, AttributeError, ValueError, OverflowError, MemoryError) as error:
         raise file.fail(f"it is not glTF as it should be ({type(error).__name__}: {error})") from None
 
 
@@ -121,6 +125,8 @@ def _content(file: GltfFile, animation: Any) -> Content:
 
 def _nodes(file: GltfFile) -> list[Node]:
     count = len(file.content.get("nodes", []))
+    if count > _MOST_NODES:
+        raise file.fail(f"there are {count:,} nodes, more than {_MOST_NODES:,}")
     parents = np.full(count, -1)
     nodes = []
     for number in range(count):
@@ -132,7 +138,10 @@ def _nodes(file: GltfFile) -> list[Node]:
     for number in range(count):
         given = file.item("nodes", number)
         if "matrix" in given:
-            parts = transform_parts(np.array(given["matrix"], np.float64).reshape(4, 4).T)
+            matrix = np.array(given["matrix"], np.float64).reshape(4, 4).T
+            parts = transform_parts(matrix)
+            if not np.allclose(transform_of(*parts), matrix, rtol=0, atol=1e-5 * np.abs(matrix).max()):
+                raise file.fail(f"the matrix of node {number} is no scale, rotation and translation (it has a shear)")
         else:
             x, y, z, w = (float(v) for v in given.get("rotation", (0, 0, 0, 1)))
             turn = np.array([w, x, y, z]) / (np.linalg.norm([w, x, y, z]) or 1.0)
@@ -156,13 +165,14 @@ def _shown(file: GltfFile) -> list[int]:
     scenes = file.content.get("scenes")
     if not scenes:
         return list(range(len(file.content.get("nodes", []))))
-    found, waiting = [], list(file.item("scenes", file.content.get("scene", 0)).get("nodes", []))
+    found, waiting = set(), list(file.item("scenes", file.content.get("scene", 0)).get("nodes", []))
     while waiting:
         node = waiting.pop()
+        children = file.item("nodes", node).get("children", [])
         if node in found:
             raise file.fail(f"node {node} is its own ancestor, or twice in the scene")
-        found.append(node)
-        waiting += file.item("nodes", node).get("children", [])
+        found.add(node)
+        waiting += children
     return sorted(found)
 
 
@@ -170,15 +180,18 @@ def _world(file: GltfFile, nodes: list[Node]) -> np.ndarray:
     """World transforms of all nodes at rest."""
     own = [transform_of(node.translation, node.rotation, node.scale) for node in nodes]
     world: list[np.ndarray | None] = [None] * len(nodes)
-    waiting = list(range(len(nodes)))
+    children: dict[int, list[int]] = {}
+    for k, node in enumerate(nodes):
+        children.setdefault(node.parent, []).append(k)
+    waiting = list(children.get(-1, []))
     while waiting:
-        known = [k for k in waiting if nodes[k].parent < 0 or world[nodes[k].parent] is not None]
-        if not known:
-            raise file.fail(f"node {waiting[0]} is its own ancestor")
-        for k in known:
-            above = world[nodes[k].parent] if nodes[k].parent >= 0 else None
-            world[k] = own[k] if above is None else above @ own[k]
-        waiting = [k for k in waiting if world[k] is None]
+        k = waiting.pop()
+        above = world[nodes[k].parent] if nodes[k].parent >= 0 else None
+        world[k] = own[k] if above is None else above @ own[k]
+        waiting += children.get(k, [])
+    lost = [k for k, matrix in enumerate(world) if matrix is None]
+    if lost:
+        raise file.fail(f"node {lost[0]} is its own ancestor")
     return np.array(world).reshape(-1, 4, 4)
 
 
@@ -247,7 +260,8 @@ def _bound(
     while f"JOINTS_{len(joints)}" in primitive["attributes"]:
         for kind, into in (("JOINTS", joints), ("WEIGHTS", weights)):
             what = f"{name}: {kind}_{len(into)}"
-            into.append(np.asarray(file.array(primitive["attributes"][f"{kind}_{len(into)}"], 4, what)))
+            number = primitive["attributes"].get(f"{kind}_{len(into)}")
+            into.append(np.asarray(file.array(number, 4, what, whole=kind == "JOINTS")))
             if len(into[-1]) != count:
                 raise file.fail(f"{what} has {len(into[-1])} rows for {count} vertices")
     if not joints:
@@ -265,7 +279,7 @@ def _bound(
 def _corners(file: GltfFile, primitive: dict, count: int, name: str) -> np.ndarray:
     """``(triangles, 3)`` vertex numbers; strips and fans taken apart."""
     if "indices" in primitive:
-        index = file.array(primitive["indices"], 1, f"{name}: indices").ravel().astype(np.int64)
+        index = file.array(primitive["indices"], 1, f"{name}: indices", whole=True).ravel().astype(np.int64)
     else:
         index = np.arange(count)
     if index.size and index.max() >= count:
@@ -302,7 +316,9 @@ def _welded(
     offsets = [every[:, 3 + 3 * k : 6 + 3 * k] for k in range(keys)]
     places = every[:, :3]
     if joints.nodes[number].skin is None:
-        matrix = joints.world[number]
+        # a node of no size, which hides what hangs on it, has no place to bind it to
+        own = joints.world[number]
+        matrix = own if np.abs(np.linalg.det(own[:3, :3])) > 0 else np.eye(4)
         places = places @ matrix[:3, :3].T + matrix[:3, 3]
         offsets = [offset @ matrix[:3, :3].T for offset in offsets]
         joints.binds.setdefault(number, matrix)

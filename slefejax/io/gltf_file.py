@@ -18,7 +18,7 @@ from slefejax.io.content import read_bytes
 
 _TYPES = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5125: "u4", 5126: "f4"}
 _SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-_MOST = 10**8  # elements of an accessor
+_MOST = 2 * 10**7  # numbers of an accessor
 # what a file may require without changing how its shapes are read
 _HARMLESS = ("KHR_materials", "KHR_texture", "KHR_lights", "KHR_mesh_quantization", "EXT_texture", "KHR_xmp")
 
@@ -63,19 +63,22 @@ class GltfFile:
             raise self.fail(f"{kind} {number} does not exist: there are {len(items)}")
         return items[number]
 
-    def array(self, number: Any, components: int, what: str) -> np.ndarray:
+    def array(self, number: Any, components: int, what: str, whole: bool = False) -> np.ndarray:
         """``(count, components)`` of an accessor, float64 or whole numbers as they are stored.
 
-        what : what it is, for messages
+        what  : what it is, for messages
+        whole : whether it numbers something
         """
         accessor = self.item("accessors", number)
         kind, size = _TYPES.get(accessor.get("componentType", 0)), _SIZES.get(accessor.get("type", ""))
         count = self._whole(accessor, "count", f"accessor {number}")
         if kind is None or size is None or size != components:
             raise self.fail(f"{what} (accessor {number}) must have {components} components of a known type")
-        if count > _MOST:
-            raise self.fail(f"{what} (accessor {number}) has {count:,} elements, more than {_MOST:,}")
+        if count * size > _MOST:
+            raise self.fail(f"{what} (accessor {number}) has {count * size:,} numbers, more than {_MOST:,}")
         dtype = np.dtype("<" + kind)
+        if whole and dtype.kind != "u":
+            raise self.fail(f"{what} (accessor {number}) must be whole numbers without a sign")
         values = np.zeros((count, size), dtype)
         if "bufferView" in accessor:
             values = self._view(

@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from slefejax.arguments import is_whole
 from slefejax.errors import InputError
 from slefejax.io.gltf_file import GltfFile
 from slefejax.rig import Motion
 
 _CURVE = 16  # samples of every piece of a cubic curve
 _BEFORE = 1e-6  # of the span of an animation: how long before a step the value is still the old one
+_MOST = 5 * 10**6  # times times nodes
 _PATHS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 1}
 
 
@@ -24,10 +26,11 @@ def chosen_animation(file: GltfFile, wanted: Any, notes: list[str]) -> dict[str,
         if len(names) > 1:
             notes.append(f"animation {names[0]!r} of {', '.join(names)} was taken: choose another one by its name")
         return animations[0] if animations else None
-    if str(wanted) in names:
-        return animations[names.index(str(wanted))]
-    if isinstance(wanted, int) and 0 <= wanted < len(names):
-        return animations[wanted]
+    if isinstance(wanted, str) and wanted in names:
+        return animations[names.index(wanted)]
+    number = int(wanted) if is_whole(wanted, 0) or (isinstance(wanted, str) and wanted.isdecimal()) else len(names)
+    if number < len(names):
+        return animations[number]
     raise InputError(f"{file.path} has no animation {wanted!r}: it has {', '.join(names) or 'none'}")
 
 
@@ -40,6 +43,11 @@ def motion_of(
     """
     curves = _curves(file, animation, nodes)
     times = _times(curves)
+    if len(times) * max(1, len(nodes), len(owners)) > _MOST:
+        raise file.fail(
+            f"its animation has {len(times):,} times of {len(nodes):,} nodes, more than {_MOST:,} poses of one:"
+            " shorten it"
+        )
     translations, rotations, scales = (
         np.array([getattr(n, name) for n in nodes]) for name in ("translation", "rotation", "scale")
     )
@@ -47,6 +55,8 @@ def motion_of(
     for (node, path), curve in curves.items():
         if path != "weights":
             poses[("translation", "rotation", "scale").index(path)][:, node] = curve.at(times)
+    if not all(np.isfinite(pose).all() for pose in poses):
+        raise file.fail("its animation leads to transforms that are not finite")
     keys = _weights(file, curves, times, nodes, owners)
     if more is None:
         return Motion(times, keys=keys)

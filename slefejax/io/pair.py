@@ -40,7 +40,7 @@ def read_pair(path: Path) -> Content:
         keys = [(str(key["name"]), tuple(float(p) for p in key.get("places", (1.0,)))) for key in names.get("keys", [])]
         up, rate = tuple(float(x) for x in names.get("up", (0, 0, 1))), float(names.get("rate", 24.0))
         other = path.parent / str(names["arrays"])
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
         raise InputError(
             f"{path} is none of a pair that can be read: it needs 'format': '{FORMAT}', 'version': {VERSION}, 'arrays'"
             " and names as docs/animation.md has them"
@@ -83,8 +83,11 @@ def _loaded(path: Path) -> dict[str, np.ndarray]:
     data = io.BytesIO(read_bytes(path))
     try:
         with np.load(data, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
-    except (ValueError, OSError, EOFError, KeyError, AttributeError, MemoryError, zipfile.BadZipFile):
+            found = {name: file[name] for name in file.files}
+        if not all(isinstance(values, np.ndarray) for values in found.values()):
+            raise ValueError
+        return found
+    except (ValueError, TypeError, OSError, EOFError, KeyError, AttributeError, MemoryError, zipfile.BadZipFile):
         raise InputError(f"{path} is no .npz file of plain arrays, or not whole") from None
 
 
@@ -169,8 +172,8 @@ def write_pair(path: Path, mesh: Mesh, rig: Rig | None, up: tuple[float, float, 
         (text := path.with_name(f".{path.name}.partial")).write_text(json.dumps(names, indent=1) + "\n")
         os.replace(part, numbers)
         os.replace(text, path)
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror or error}") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path} cannot be written: {getattr(error, 'strerror', None) or error}") from None
 
 
 def _describe(rig: Rig, names: dict[str, Any], arrays: dict[str, Any]) -> None:
