@@ -158,8 +158,10 @@ def test_frames_in_which_nothing_is_seen(device, capsys, tmp_path):
 
 
 def test_poses_on_the_command_line(capsys, walker):
-    moved = run_json(capsys, "factors", "walker", "--method", "slefe", "--time", "6", "--keys", "belly=1", "smile=0")
-    still = run_json(capsys, "factors", "walker", "--method", "slefe")
+    moved = run_json(
+        capsys, "factors", "walker", "--method", "edge-length", "--time", "6", "--keys", "belly=1", "smile=0"
+    )
+    still = run_json(capsys, "factors", "walker", "--method", "edge-length")
     assert moved["rows"] != still["rows"]
     scene = LoadOptions(time=6.0, keys=("belly=1", "smile=0")).load("walker")
     wanted = walker.pose(walker.rig.pose(6.0, {"belly": 1.0, "smile": 0.0}))

@@ -5,7 +5,7 @@ import threading
 import numpy as np
 import pytest
 
-from slefejax import Camera, InputError, View
+from slefejax import Camera, InputError, View, tessellation_factors, triangle_error
 from slefejax.bezier import evaluate_patch
 from slefejax.edges import edge_maxima, shared_edges
 from slefejax.tessellator import SPACINGS, levels_for, segments, triangle_counts, widest_pieces
@@ -259,6 +259,15 @@ def test_levels_for_factors(spacing):
         lower = coarser < levels
         assert np.all(widest_pieces(coarser[lower], spacing) * factors[lower] > 1.0)
         assert np.abs(np.diff(levels[order])).max() < 0.05  # no jumps
+
+
+@pytest.mark.parametrize("spacing", SPACINGS[1:])
+def test_certified_factors_hold_for_fractional_grids(device, gpu, teapot, main_view, spacing):
+    """Every patch by itself, at the lowest levels whose pieces are no wider than 1/factor; not so transition rings."""
+    levels = levels_for(np.asarray(tessellation_factors(teapot.patches(), main_view).factor), spacing)
+    renderer = gpu.Renderer(teapot.patches(), device, spacing)
+    found = renderer.capture(main_view, np.repeat(levels[:, None], 2, axis=1), np.repeat(levels[:, None], 4, axis=1))
+    assert 0.3 < triangle_error(teapot.patches(), found, main_view).max() <= 0.5
 
 
 def test_spacing_that_is_none(device, gpu, rng):

@@ -173,12 +173,12 @@ def test_copies_stand_side_by_side_and_move_alike(walker):
     assert both.rig.skeleton.names[20:22] == ("hips 2", "spine 2")
     assert both.rig.keys.names[6] == "smile 2"
     step = np.array([1.1 * np.ptp(walker.conversion.mesh.vertices[:, 0]), 0.0, 0.0])
-    for time in (None, 5.0, 20.5):
+    for time in (None, 5.0):
         one, two = (np.asarray(scene.vertices(scene.rig.pose(time))) for scene in (walker, both))
         np.testing.assert_allclose(two[:count], one, atol=1e-14)
         np.testing.assert_allclose(two[count:], one + step, atol=1e-14)
     view = View(both.default_camera(), 480, 300)
-    factors = Session(both, method="slefe").factors(view, both.rig.pose(3.0, keys={"belly 2": 1.0}))
+    factors = Session(both, method="fixed").factors(view, both.rig.pose(3.0, keys={"belly 2": 1.0}))
     assert np.isfinite(factors.factor).all()
 
 

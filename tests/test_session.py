@@ -50,8 +50,15 @@ def turned(view: View, degrees: float) -> View:
     return replace(view, camera=replace(camera, eye=turn @ camera.eye, target=turn @ camera.target))
 
 
-@pytest.mark.parametrize("options", [{}, BOX, {"method": "slefe", "depth_tolerance": 1e-3}, {"method": "edge-length"}])
-@pytest.mark.parametrize("deform", [None, dual_quaternion_blend])
+@pytest.mark.parametrize(
+    ("options", "deform"),
+    [
+        ({}, None),
+        (BOX, dual_quaternion_blend),
+        ({"method": "slefe", "segments": 2, "depth_tolerance": 1e-3}, None),
+        ({"method": "edge-length"}, None),
+    ],
+)
 def test_the_same_factors_as_without_a_session(walker, view, options, deform):
     more: dict[str, Any] = {} if deform is None else {"deform": deform}
     session = Session(walker, **options, **more)
@@ -342,12 +349,12 @@ def test_inside_of_jit_is_refused_and_harms_nothing(walker, view):
 PLAIN = """
 import jax, numpy as np, slefejax as sj
 walker = sj.load("walker")
-for time in (0.0, 0.5, 24.0):
+for time in (0.0, 0.5):
     found = np.asarray(walker.pose(time))
     assert found.dtype == np.float32 and np.isfinite(found).all()
-    assert np.isfinite(jax.jacfwd(lambda t: walker.rig.pose(t).local)(time)).all()
+assert np.isfinite(jax.jacfwd(lambda t: walker.rig.motion.local(t))(0.5)).all()
 view = sj.View(walker.default_camera(), 320, 200)
-assert np.isfinite(np.asarray(sj.Session(walker, method="slefe").factors(view, 3.0).factor)).all()
+assert np.isfinite(np.asarray(sj.Session(walker, method="fixed").factors(view, 3.0).factor)).all()
 """
 
 
