@@ -30,7 +30,7 @@ class Certify:
     """Patch by patch: the certified factor, the largest error that it and the published estimate lead to, the slack."""
 
     scenes: tyro.conf.Positional[tuple[str, ...]]
-    """Files (.obj, .ply, .usd…, .3dm, .bpt, .bv), or teapot, twisted-quad, steep-patch."""
+    """Files (.obj, .usd…, .glb, …: the README lists them), or walker, teapot, twisted-quad, steep-patch."""
     tiles: int = 2
     """Pieces along each side that a patch is cut into to bound it; more are tighter and slower."""
     verify: bool = False

@@ -59,7 +59,7 @@ class ErrorTime:
     """For every rule: its error at pixels and over the domain, its triangles and run time, and how far from minimal."""
 
     scenes: tyro.conf.Positional[tuple[str, ...]]
-    """Files (.obj, .ply, .usd…, .3dm, .bpt, .bv), or teapot, twisted-quad, steep-patch."""
+    """Files (.obj, .usd…, .glb, …: the README lists them), or walker, teapot, twisted-quad, steep-patch."""
     cameras: int = 1
     """Cameras: the scene's own, and others on a sphere around it."""
     seed: int = 1

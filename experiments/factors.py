@@ -21,7 +21,7 @@ class FactorsOfScene:
     """The predicted tessellation factor of every patch, and the inner and edge levels that follow from it."""
 
     scene: tyro.conf.Positional[str]
-    """A file (.obj, .ply, .usd…, .3dm, .bpt, .bv), or teapot, twisted-quad, steep-patch."""
+    """A file (.obj, .usd…, .glb, …: the README lists them), or walker, teapot, twisted-quad, steep-patch."""
     prediction: tyro.conf.OmitArgPrefixes[PredictionOptions] = field(default_factory=PredictionOptions)
     camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
     loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)

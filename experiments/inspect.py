@@ -36,7 +36,7 @@ class Inspect:
     """Counts, valences, boundaries, defects; what patches are made and by what tables; a picture of all that."""
 
     scene: tyro.conf.Positional[str]
-    """A file (.obj, .ply, .usd…, .3dm, .bpt, .bv), or teapot, twisted-quad, steep-patch."""
+    """A file (.obj, .usd…, .glb, …: the README lists them), or walker, teapot, twisted-quad, steep-patch."""
     tolerance: float = 0.5
     """Error in pixels for the factors that the picture shows."""
     savings: bool = False

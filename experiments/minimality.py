@@ -36,7 +36,7 @@ class Minimality:
     """Scale the predicted tessellation factors, render each, and measure the error of every pixel."""
 
     scene: tyro.conf.Positional[str]
-    """A file (.obj, .ply, .usd…, .3dm, .bpt, .bv), or teapot, twisted-quad, steep-patch."""
+    """A file (.obj, .usd…, .glb, …: the README lists them), or walker, teapot, twisted-quad, steep-patch."""
     scales: tuple[float, ...] = (1.0, 0.9, 0.8, 0.75, 0.7, 0.5)
     """What the predicted factors are multiplied by, one row each."""
     edges: Literal["shared", "own"] = "shared"

@@ -31,7 +31,7 @@ class Scaling:
     """Vary patches (by splitting), triangles (by scaling) and pixels (by cover), and fit the cost of each."""
 
     scene: tyro.conf.Positional[str]
-    """A file (.obj, .ply, .usd…, .3dm, .bpt, .bv), or teapot, twisted-quad, steep-patch."""
+    """A file (.obj, .usd…, .glb, …: the README lists them), or walker, teapot, twisted-quad, steep-patch."""
     size: str = "1440x900"
     """Width x height of the picture in pixels."""
     repeats: int = 9
