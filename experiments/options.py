@@ -183,6 +183,8 @@ class PredictionOptions:
     """Of slefe: the constant k_m."""
     setting: float | None = None
     """Of edge-length: pixels a piece; of screen-box: mu, pixels; of fixed: the factor."""
+    smooth: float | None = None
+    """Of certified and slefe: the temperature of soft maxima, 0 to 1; exact ones if not given."""
 
     def arguments(self) -> dict:
         """Keyword arguments for tessellation_factors."""
@@ -196,6 +198,7 @@ class PredictionOptions:
             "depth_tolerance": self.depth_tolerance,
             "k": self.k,
             "setting": self.setting,
+            "smooth": self.smooth,
         }
 
     def left_out(self, scene: Scene) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ what several loops need, so there are few of them.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial, reduce
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -16,7 +16,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from slefejax import layout, nets
-from slefejax.estimate import Projection, larger, smaller
+from slefejax.estimate import Projection
+from slefejax.maxima import larger, largest, sizes, smaller
 from slefejax.nets import Lanes, Net
 
 Hessian = tuple[Net | None, Net, Net | None]
@@ -30,10 +31,13 @@ _ROUNDING = 16.0  # a coefficient of a tile is wrong by at most half of this, in
 
 @partial(jax.custom_jvp, nondiff_argnums=(3,))
 def certified_factors(
-    packed: Float[Array, "chunks nu nv dim lanes"], projection: Projection, tolerances: tuple[Any, Any], tiles: int
+    packed: Float[Array, "chunks nu nv dim lanes"], projection: Projection, scales: tuple[Any, Any, Any], tiles: int
 ) -> Float[Array, "chunks lanes"]:
-    """``certified_factor`` of all chunks, differentiable in forward and reverse mode."""
-    return _over_chunks(packed, projection, tolerances, tiles)
+    """``certified_factor`` of all chunks, differentiable in forward and reverse mode.
+
+    scales : tolerance, depth tolerance and temperature, the last two or one None if they were not asked for
+    """
+    return _over_chunks(packed, projection, scales, tiles)
 
 
 @certified_factors.defjvp
@@ -43,9 +47,13 @@ def _derivative(tiles: int, at: tuple, along: tuple) -> tuple:
     return certified_factors(*at, tiles), jax.jvp(arrays, at, along)[1]
 
 
-def _over_chunks(packed: Any, projection: Any, tolerances: tuple[Any, Any], tiles: int, unrolled: Any = None) -> Any:
-    kernel = partial(certified_factor, tiles=tiles, unrolled=unrolled)
-    return layout.over_chunks(kernel, packed, projection, *tolerances)
+def _over_chunks(packed: Any, projection: Any, scales: tuple[Any, Any, Any], tiles: int, unrolled: Any = None) -> Any:
+    def kernel(control: Any, projection: Any, tolerance: Any, depth_tolerance: Any, smooth: Any) -> Any:
+        return certified_factor(
+            control, projection, tolerance, depth_tolerance, tiles=tiles, unrolled=unrolled, smooth=smooth
+        )
+
+    return layout.over_chunks(kernel, packed, projection, *scales)
 
 
 def certified_factor(
@@ -59,29 +67,34 @@ def certified_factor(
     tiles: int,
     any_triangle: bool = False,
     unrolled: bool | None = None,
+    smooth: Any = None,
 ) -> Float[Array, "lanes"]:
     """A real n >= 1 from which on the bound of docs/certified.md is at most the tolerance; 0 for an unseen patch.
 
     For n and every larger number the bound holds for all triangles that are half of a box of sides extent/n in the
     domain, or of a box with sides of at least ``evenness`` times that, wherever they are visible; with ``any_triangle``
     for triangles of any shape that lie in the box. ``unrolled``: the form of the nets; None: what suits their degrees.
+    ``smooth``: a temperature (``slefejax.maxima``) for the maxima that make n: over coefficients, both ends of the
+    picture, coordinates, tiles. Whether a patch is seen, and which part of the picture it reaches, stays as it is.
     """
     if unrolled is None:
-        unrolled = control.shape[0] * control.shape[1] <= _UNROLLED and control.shape[2] == 3
+        unrolled = control.shape[0] * control.shape[1] <= _UNROLLED and control.shape[2] == 3 and smooth is None
     screen = Screen.of(control, projection, tolerance, depth_tolerance, unrolled)
     whole = Piece.of(screen, screen.rows, screen.w, 1)
-    remainders = [_remainder(row, screen.w, ends, extent) for row, ends in zip(screen.rows, whole.ends, strict=True)]
-    measure = _of_any_triangle if any_triangle else partial(_of_half_cell, evenness=evenness)
-    bends = [_largest_sum(net, extent) for net in (*screen.rows[:2], screen.w)]
+    remainders = [
+        _remainder(row, screen.w, ends, extent, smooth) for row, ends in zip(screen.rows, whole.ends, strict=True)
+    ]
+    measure = _of_any_triangle if any_triangle else partial(_of_half_cell, evenness=evenness, smooth=smooth)
+    bends = [_largest_sum(net, extent, smooth) for net in (*screen.rows[:2], screen.w)]
     if tiles == 1:
         # n is at least what the corners need, which is known without a second loop
-        least = _least_square(screen, whole, extent)
+        least = _least_square(screen, whole, extent, smooth)
         inverse = 1.0 / jnp.sqrt(least)
-        square = _square(screen, whole, remainders, bends[2], extent, measure, inverse)
-        square = larger(square, jnp.where(least > 1.0, least, 0.0))
+        square = _square(screen, whole, remainders, bends[2], extent, measure, inverse, smooth)
+        square = largest([square, jnp.where(least > 1.0, least, 0.0)], smooth)
     else:
 
-        def step(largest: Lanes, matrices: tuple[Any, Any]) -> tuple[Lanes, None]:
+        def step(found: Lanes, matrices: tuple[Any, Any]) -> tuple[Lanes, None]:
             if unrolled:
                 # lanes all the same: with single numbers the compiler would split the loop
                 matrices = jax.tree.map(
@@ -89,15 +102,15 @@ def certified_factor(
                 )
             *rows, w = (nets.combined(net, *matrices) for net in (*screen.rows, screen.w))
             piece = Piece.of(screen, rows, w, tiles)
-            square = _square(screen, piece, remainders, bends[2], extent, measure)
-            return larger(largest, smaller(square, _last_visible(screen, piece, bends))), None
+            square = _square(screen, piece, remainders, bends[2], extent, measure, smooth=smooth)
+            return largest([found, smaller(square, _last_visible(screen, piece, bends))], smooth), None
 
         matrices = nets.tile_matrices(control.shape[0], control.shape[1], tiles)
         matrices = jax.tree.map(lambda x: jnp.asarray(x, control.dtype), matrices)
         square, _ = jax.lax.scan(step, jnp.zeros_like(screen.w_size), matrices)
     rounded = 1.0 + 128.0 * jnp.finfo(control.dtype).eps
     # a bound that 1 fulfils is not rounded up: flat patches are one quad
-    square = larger(square * rounded, jnp.ones_like(square))
+    square = largest([square * rounded, jnp.ones_like(square)], smooth)
     return jnp.sqrt(jnp.where(screen.visible, square, 1.0)) * jnp.where(screen.visible, 1.0, 0.0)
 
 
@@ -178,20 +191,20 @@ class Remainder(NamedTuple):
     fourth: Lanes  # over 288
 
 
-def _remainder(row: Net, w: Net, ends: tuple[Lanes, Lanes], extent: Extent) -> Remainder:
+def _remainder(row: Net, w: Net, ends: tuple[Lanes, Lanes], extent: Extent, smooth: Any) -> Remainder:
     """The fourth derivatives are differences of the third, times a degree: bounded by twice as much."""
     tops = []
     for i, j, times in _THIRD:
         own, depth = (nets.derivative(net, i, j) for net in (row, w))
         scale = times * extent[0] ** i * extent[1] ** j
-        tops.append(scale * _largest_at(ends, own, depth) if nets.size(own) else jnp.zeros_like(ends[0]))
+        tops.append(scale * _largest_at(ends, own, depth, smooth) if nets.size(own) else jnp.zeros_like(ends[0]))
     (uuu, uuv, uvv, vvv), (du, dv) = tops, nets.degrees(row)
     by_u = max(du - 3, 0) * extent[0] * uuu + (4 * (du - 2) * extent[0] / 3 + (dv - 1) * extent[1]) * uuv
     by_v = max(dv - 3, 0) * extent[1] * vvv + (4 * (dv - 2) * extent[1] / 3 + (du - 1) * extent[0]) * uvv
     return Remainder(uuu + uuv, vvv + uvv, (by_u + by_v) / 144.0)
 
 
-def _least_square(screen: Screen, whole: Piece, extent: Extent) -> Lanes:
+def _least_square(screen: Screen, whole: Piece, extent: Extent, smooth: Any) -> Lanes:
     """The square of what n is at least by the second derivatives at the corners: remainders are taken there.
 
     Any number >= 1 would do for the proof; one just below n loses least.
@@ -204,7 +217,7 @@ def _least_square(screen: Screen, whole: Piece, extent: Extent) -> Lanes:
             inverse = whole.inverse[i][j]
             s = row[i][j] * inverse
             value = [x[i][j] - s * y[i][j] if nets.size(x) else None for x, y in zip(own, depth, strict=True)]
-            square = larger(square, _of_half_cell(*value) * inverse / 8.0)
+            square = largest([square, _of_half_cell(*value, smooth=smooth) * inverse / 8.0], smooth)
     return square
 
 
@@ -216,6 +229,7 @@ def _square(
     extent: Extent,
     measure: Callable[..., Lanes],
     inverse: Lanes | None = None,
+    smooth: Any = None,
 ) -> Lanes:
     """n^2 at which the bound for the points of a tile is at most 1.
 
@@ -229,26 +243,27 @@ def _square(
         zip(piece.rows, piece.ends, remainders, screen.sizes, strict=True)
     ):
         hessian = _hessian(row, extent)
-        tops = [nets.top(_measured(measure, s, hessian, depth, piece.inverse)) for s in ends]
-        largest = larger(*tops)
+        tops = [nets.top(_measured(measure, s, hessian, depth, piece.inverse), smooth) for s in ends]
+        second = largest(tops, smooth)
         if screen.rational:
-            followed = _followed(screen, piece, row, size, extent, measure)
-            largest = jnp.where(piece.within[k], smaller(largest, followed), largest)
-        largest = largest * piece.scale
-        upper = 1.0 / jnp.sqrt(larger(largest / 8.0, jnp.ones_like(largest))) if inverse is None else inverse
-        more, less = larger(remainder.along_u, remainder.along_v), smaller(remainder.along_u, remainder.along_v)
+            followed = _followed(screen, piece, row, size, extent, measure, smooth)
+            second = jnp.where(piece.within[k], smaller(second, followed), second)
+        second = second * piece.scale
+        upper = 1.0 / jnp.sqrt(larger(second / 8.0, jnp.ones_like(second))) if inverse is None else inverse
+        both = remainder.along_u + remainder.along_v
         if measure is _of_any_triangle:
-            third = (more + less) / 48.0
+            third = both / 48.0
         else:
-            third = _CUBIC * more + less / 288.0
-            largest = larger(largest, more * piece.widest * upper)
+            more = largest([remainder.along_u, remainder.along_v], smooth)
+            third = (_CUBIC - 1.0 / 288.0) * more + both / 288.0
+            second = largest([second, more * piece.widest * upper], smooth)
         rest = (third + remainder.fourth * upper) * upper + w_bend / 8.0 + rounding * size
-        squares.append(largest / 8.0 + rest * piece.widest)
-    return _largest(squares)
+        squares.append(second / 8.0 + rest * piece.widest)
+    return largest(squares, smooth)
 
 
 def _followed(
-    screen: Screen, piece: Piece, row: Net, size: Lanes, extent: Extent, measure: Callable[..., Lanes]
+    screen: Screen, piece: Piece, row: Net, size: Lanes, extent: Extent, measure: Callable[..., Lanes], smooth: Any
 ) -> Lanes:
     """The largest measure of the Hessian of g_s* over W where s* = X/W follows the place: docs/certified.md, (7).
 
@@ -278,7 +293,7 @@ def _followed(
         nets.bilinear_times(corners, piece.w),
         inverse,
     )
-    return nets.top(whole) + nets.top(apart) * nets.top(rest)
+    return nets.top(whole, smooth) + nets.top(apart, smooth) * nets.top(rest, smooth)
 
 
 def _last_visible(screen: Screen, piece: Piece, bends: list[Lanes]) -> Lanes:
@@ -307,17 +322,18 @@ def _reaches(net: Net, w: Net, half: Any) -> tuple[Lanes, Lanes]:
     )
 
 
-def _largest_sum(net: Net, extent: Extent) -> Lanes:
+def _largest_sum(net: Net, extent: Extent, smooth: Any) -> Lanes:
     """At least the largest |uu| + 2 |uv| + |vv|, each over its own coefficients."""
     parts = _plain_hessian(net, extent)
-    tops = [nets.top(nets.each(jnp.abs, part)) if nets.size(part) else None for part in parts]
+    tops = [nets.top(nets.each(jnp.abs, part), smooth) if nets.size(part) else None for part in parts]
     return _sum_of((tops[0], tops[1], tops[2]))
 
 
-def _largest_at(ends: tuple[Lanes, Lanes], own: Net, depth: Net) -> Lanes:
+def _largest_at(ends: tuple[Lanes, Lanes], own: Net, depth: Net, smooth: Any) -> Lanes:
     """The largest size of coefficients of own - s depth at both ends of an interval for s."""
-    low, high = (nets.top(nets.each(lambda x, y, s=s: jnp.abs(x - s * y), own, depth)) for s in ends)
-    return larger(low, high)
+    return largest(
+        [nets.top(nets.each(lambda x, y, s=s: jnp.abs(x - s * y), own, depth), smooth) for s in ends], smooth
+    )
 
 
 def _measured(measure: Callable[..., Lanes], s: Lanes, own: Hessian, depth: Hessian, inverse: Net) -> Net:
@@ -332,13 +348,16 @@ def _measured(measure: Callable[..., Lanes], s: Lanes, own: Hessian, depth: Hess
     return nets.each(at, inverse, *(x for pair in zip(own, depth, strict=True) for x in pair if x is not None))
 
 
-def _of_half_cell(a: Any, b: Lanes, c: Any, evenness: Any = 1.0) -> Lanes:
+def _of_half_cell(a: Any, b: Lanes, c: Any, evenness: Any = 1.0, smooth: Any = None) -> Lanes:
     """8 times the largest error that a quadratic with this Hessian has on one of the triangles of a unit cell.
 
     Or of a cell with sides between the evenness and 1: a narrower one has larger errors if a and c cancel less.
     """
     if a is None or c is None:
-        return _sum_of((a, b, c))
+        return _sum_of((a, b, c), smooth)
+    if smooth is not None:
+        size_a, twist, size_c, together = sizes([a, b + b, c, a + c], smooth)
+        return largest([together + twist, size_a, size_c], smooth)
     most, together = larger(jnp.abs(a), jnp.abs(c)), jnp.abs(a + c)
     if not (isinstance(evenness, float) and evenness == 1.0):
         together = larger(together, most - evenness * evenness * smaller(jnp.abs(a), jnp.abs(c)))
@@ -355,9 +374,10 @@ def _of_any_triangle(a: Any, b: Lanes, c: Any) -> Lanes:
     return jax.lax.select((a > 0) == (c > 0), p + q + 2.0 * b, saddle)
 
 
-def _sum_of(hessian: tuple[Any, Lanes, Any]) -> Lanes:
+def _sum_of(hessian: tuple[Any, Lanes, Any], smooth: Any = None) -> Lanes:
     a, b, c = hessian
-    return nets.total([jnp.abs(b + b), *(jnp.abs(x) for x in (a, c) if x is not None)])
+    parts = [b + b, *(x for x in (a, c) if x is not None)]
+    return nets.total([jnp.abs(x) for x in parts] if smooth is None else sizes(parts, smooth))
 
 
 def _plain_hessian(net: Net, extent: Extent) -> list[Net]:
@@ -380,10 +400,6 @@ def _image(row: list, *point: Lanes) -> Lanes:
     """A row of the projection applied to a control point."""
     affine = [row[3]] if len(point) == 3 else []
     return nets.total([m * x for m, x in zip(row, point, strict=False)] + affine)
-
-
-def _largest(values: list[Lanes]) -> Lanes:
-    return reduce(larger, values)
 
 
 def _clip(value: Lanes, limit: Lanes) -> Lanes:

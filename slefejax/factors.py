@@ -130,6 +130,7 @@ def tessellation_factors(
     depth_tolerance: Number | None = None,
     k: Number = 1.0,
     setting: Number | None = None,
+    smooth: Number | None = None,
     pattern: Pattern | None = None,
     edge_numbers: Int[np.ndarray, "patches 4"] | None = None,
 ) -> Factors:
@@ -157,17 +158,20 @@ def tessellation_factors(
     k               : the constant k_m; of ``slefe``
     setting         : of ``edge-length`` (pixels a piece), ``screen-box`` (mu, pixels), ``fixed`` (the factor);
                       None: 8, 1, 16
+    smooth          : of ``certified`` and ``slefe``: a temperature, 0 < smooth <= 1, or None. Maxima become soft ones,
+                      never smaller (at most N^smooth times as large, of N numbers), so that ``.factor`` can be
+                      differentiated where they tie (docs/gradients.md). A certified factor stays one
     pattern         : of ``certified``: how the tessellator makes transition rings; None: as Direct3D 11 says
     edge_numbers    : ``(patches, 4)``, the result of ``shared_edges``, if it is already known
 
     Returns Factors: ``.factor`` (at least 1 on the screen, 0 off it), ``.inner`` and ``.edges``.
     ``slefe``: only tiles whose boxes reach into the view volume count; where a box touches or lies behind the near
     plane it is measured as if it lay in it, which is as near as anything is drawn; nothing is divided by a smaller W.
-    Differentiable by patches, camera, tolerance and k, in forward and reverse mode. A traced tolerance that is not
-    positive gives NaN.
+    ``.factor`` is differentiable by patches, camera, tolerance and k, in forward and reverse mode; derivatives are
+    finite everywhere (docs/gradients.md). A traced tolerance that is not positive gives NaN.
 
     Raises InputError for wrong shapes, control points that are not finite (with the patch's number), segments or tiles
-    < 1, a tolerance or k that is not positive, or results that overflow.
+    < 1, a tolerance or k that is not positive, a temperature beyond its range, or results that overflow.
 
     >>> from slefejax import Camera, load
     >>> scene = load("teapot")
@@ -188,6 +192,7 @@ def tessellation_factors(
         depth_tolerance=depth_tolerance,
         k=k,
         setting=setting,
+        smooth=smooth,
         pattern=pattern,
     )
     if edge_numbers is not None:
@@ -224,22 +229,29 @@ class Request:
         depth_tolerance: Number | None = None,
         k: Number = 1.0,
         setting: Number | None = None,
+        smooth: Number | None = None,
         pattern: Pattern | None = None,
     ) -> Request:
         """From the arguments of ``tessellation_factors``, for control points of that dimension. Raises as it does."""
         _check_method(method, dimension, depth_tolerance, setting)
         asked = {"anisotropic": anisotropic, "verify": verify, "pattern": pattern is not None}
+        _check_smooth(method, smooth, anisotropic or verify)
         _check_numbers(method, asked, tiles, {"tolerance": tolerance, "k": k, "depth_tolerance": depth_tolerance})
         if pattern is not None and not isinstance(pattern, Pattern):
             raise InputError(f"pattern must be a slefejax.rings.Pattern, not {type(pattern).__name__}")
         if method == "certified":
-            numbers: tuple[Any, ...] = (tolerance, depth_tolerance)
+            numbers: tuple[Any, ...] = (tolerance, depth_tolerance, smooth)
         elif method == "slefe":
-            numbers = (tolerance, depth_tolerance, k)
+            numbers = (tolerance, depth_tolerance, k, smooth)
         else:
             numbers = (tolerance, SETTINGS.get(method) if setting is None else setting)
         fineness = {"certified": int(tiles), "slefe": segment_pair(segments)}.get(method)
         return Request(method, fineness, numbers, anisotropic, verify, pattern or direct3d11())
+
+    @property
+    def smooth(self) -> Any:
+        """The temperature, or None."""
+        return self.numbers[-1] if self.method in ("certified", "slefe") else None
 
     def left_out(self) -> tuple[str, ...]:
         """What is not computed because it was not asked for, a sentence each."""
@@ -307,7 +319,7 @@ def view_pass(
     if method == "certified":
         factor: Any = certified_factors(packed, projection, scales, fineness)
         fine = _harmless(packed, projection, (1, 2, 3))
-        for scale in scales:
+        for scale in scales[:2]:
             if scale is not None:
                 # control points are divided by it
                 fine &= (scale > 0) & _harmless(packed / scale, projection, (1, 2, 3))
@@ -318,13 +330,11 @@ def view_pass(
     return layout.over_chunks(_unless_bad(kernel), packed, projection, *scales)
 
 
-def _from_boxes(
-    both: Any, projection: Projection, tolerance: Any, depth_tolerance: Any, k: Any, segments: tuple[int, int]
-) -> Any:
+def _from_boxes(both: Any, projection: Projection, *scales: Any, segments: tuple[int, int]) -> Any:
     (lower, upper), control = both
     # boxes of control points that are not finite are not finite either
     fine = _harmless(lower, projection, (0, 1, 2)) & _harmless(upper, projection, (0, 1, 2))
-    factor = factor_of_boxes((lower, upper), control, projection, tolerance, depth_tolerance, k, segments)
+    factor = factor_of_boxes((lower, upper), control, projection, *scales, segments=segments)
     return jnp.where(fine, factor, jnp.nan)
 
 
@@ -348,6 +358,18 @@ def _check_method(method: str, dimension: int, depth_tolerance: Any, setting: An
         if method not in SETTINGS:
             raise InputError(f"method {method!r} has no setting: {', '.join(SETTINGS)} have one")
         check_positive("setting", setting)
+
+
+def _check_smooth(method: str, smooth: Any, whole: bool) -> None:
+    if smooth is None:
+        return
+    if method not in ("certified", "slefe"):
+        raise InputError(f"method {method!r} knows no smooth: 'certified' and 'slefe' do")
+    if whole:
+        raise InputError("smooth is of real factors: anisotropic and verify find whole numbers without it")
+    check_positive("smooth", smooth)
+    if not isinstance(smooth, Tracer) and float(smooth) > 1.0:
+        raise InputError(f"smooth is a temperature of at most 1, not {smooth}: 0.01 or less is close to the maximum")
 
 
 def _check_numbers(method: str, asked: dict[str, bool], tiles: Any, positive: dict[str, Any]) -> None:

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from slefejax.bezier import restrict
-from slefejax.estimate import larger, smaller
+from slefejax.maxima import larger, largest_along, smaller
 
 Lanes = Any  # (lanes,)
 Net = Any  # [[(lanes,), ...], ...] or (nu, nv, lanes)
@@ -38,8 +38,10 @@ def each(function: Callable[..., Any], *nets: Net) -> Net:
     return function(*nets)
 
 
-def top(net: Net) -> Lanes:
-    """The largest coefficient."""
+def top(net: Net, temperature: Any = None) -> Lanes:
+    """The largest coefficient; with a temperature softly (``slefejax.maxima``), of an array that is not negative."""
+    if temperature is not None:
+        return largest_along(net, (0, 1), temperature)
     return _tree(larger, net) if isinstance(net, list) else jnp.max(net, axis=(0, 1))
 
 

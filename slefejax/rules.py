@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from slefejax.estimate import Projection, inside_of_tiles
+from slefejax.maxima import root
 from slefejax.slefe import enclose_patch
 
 Control = Float[Array, "nu nv dim lanes"]
@@ -51,7 +52,8 @@ def edge_length(control: Control, projection: Projection, tolerance: Any, settin
     """The length on the screen of the longest edge's control polygon, over ``setting`` pixels."""
     x, y = _projected(control, projection)
     edges = [(x[0], y[0]), (x[-1], y[-1]), (x[:, 0], y[:, 0]), (x[:, -1], y[:, -1])]
-    lengths = [jnp.sum(jnp.hypot(jnp.diff(a, axis=0), jnp.diff(b, axis=0)), axis=0) for a, b in edges]
+    # collapsed edges have no direction: their derivative counts as 0
+    lengths = [jnp.sum(root(jnp.diff(a, axis=0) ** 2 + jnp.diff(b, axis=0) ** 2), axis=0) for a, b in edges]
     return jnp.maximum(jnp.max(jnp.stack(lengths), axis=0) / setting, 1.0)
 
 
@@ -99,7 +101,7 @@ def _extent(x: Any, y: Any) -> Any:
 
 def _longest(vectors: Any) -> Any:
     """Length of the longest of vectors ``(i, j, 3, lanes)``."""
-    return jnp.sqrt(jnp.max(jnp.sum(vectors**2, axis=2), axis=(0, 1)))
+    return root(jnp.max(jnp.sum(vectors**2, axis=2), axis=(0, 1)))
 
 
 def _norm(vector: Any) -> Any:

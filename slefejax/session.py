@@ -148,7 +148,7 @@ class Session:
         boxes = None
         if self.request.method == "slefe":
             found["slefe boxes"], boxes = jax.make_jaxpr(boxes_pass, static_argnums=1, return_shape=True)(
-                packed, self.request.fineness
+                packed, self.request.fineness, self.request.smooth
             )
         projection = jax.tree.map(lambda x: jnp.asarray(x, self._dtype), Projection.of(view))
         scales = tuple(None if x is None else jnp.asarray(x, self._dtype) for x in self.request.numbers)
@@ -203,7 +203,7 @@ class Session:
         packed = self._timed(PARTS[0], lambda: self._pose_pass(self._tables, at) if self.moves else self._as_packed())
         boxes = None
         if self.request.method == "slefe":
-            boxes = self._timed(PARTS[1], lambda: boxes_pass(packed, self.request.fineness))
+            boxes = self._timed(PARTS[1], lambda: boxes_pass(packed, self.request.fineness, self.request.smooth))
         self._at, self._packed, self._boxes = _snapshot(at), packed, boxes
         self._patches = self._seen = None
         return True

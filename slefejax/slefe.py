@@ -31,6 +31,7 @@ from slefejax.arguments import (
 )
 from slefejax.bezier import second_differences
 from slefejax.errors import InputError
+from slefejax.maxima import larger, sizes
 from slefejax.slefe_tables import build_table
 
 HIGHEST_DEGREE = 64
@@ -124,16 +125,17 @@ def slefe_boxes(patches: Patches, segments: Segments) -> Slefe:
     return Slefe(layout.unpack(lower, len(patches)), layout.unpack(upper, len(patches)))
 
 
-def enclose(coefficients: Float[Array, "n *rest"], segments: int) -> tuple[Any, Any]:
+def enclose(coefficients: Float[Array, "n *rest"], segments: int, temperature: Any = None) -> tuple[Any, Any]:
     """Lower and upper breakpoint values along the first axis, for use inside kernels."""
-    return enclose_at(coefficients[:, None], segments)
+    return enclose_at(coefficients[:, None], segments, temperature)
 
 
-def enclose_at(coefficients: Float[Array, "n b *rest"], segments: int) -> tuple[Any, Any]:
+def enclose_at(coefficients: Float[Array, "n b *rest"], segments: int, temperature: Any = None) -> tuple[Any, Any]:
     """Breakpoint values ``(m+1, *rest)``, breakpoint k from the coefficients ``[:, k]`` (2012, eq 2).
 
     upper = l + sum_j max(0, D_j) a_up_j + min(0, D_j) a_low_j; lower with max and min exchanged.
-    Every breakpoint has coefficients of its own, or, where b is 1, all have the same.
+    Every breakpoint has coefficients of its own, or, where b is 1, all have the same. With a temperature the sizes of
+    the D_j are smooth ones (``slefejax.maxima``), and the enclosure is that much wider.
     """
     column = (slice(None),) + (None,) * (coefficients.ndim - 2)
     t = (np.arange(segments + 1) / segments).astype(coefficients.dtype)[column]
@@ -142,20 +144,25 @@ def enclose_at(coefficients: Float[Array, "n b *rest"], segments: int) -> tuple[
     if degree == 1:
         return lower, upper
     tables = _as_dtype(slefe_table(degree, segments), coefficients.dtype)
-    for difference, low, up in zip(second_differences(coefficients), tables.lower, tables.upper, strict=True):
-        # select, not jnp.maximum: several times faster on the CPU (it does not propagate NaN: inputs are checked apart)
-        positive = jax.lax.select(difference > 0, difference, jnp.zeros_like(difference))
+    differences = list(second_differences(coefficients))
+    smooth = differences if temperature is None else sizes(differences, temperature)
+    for difference, size, low, up in zip(differences, smooth, tables.lower, tables.upper, strict=True):
+        # ``larger`` does not propagate NaN: inputs are checked apart
+        exact = temperature is None
+        positive = larger(difference, jnp.zeros_like(difference)) if exact else 0.5 * (size + difference)
         negative = difference - positive
         upper = upper + (positive * up[column] + negative * low[column])
         lower = lower + (positive * low[column] + negative * up[column])
     return lower, upper
 
 
-def enclose_patch(control: Float[Array, "nu nv *rest"], segments: tuple[int, int]) -> tuple[Any, Any]:
+def enclose_patch(
+    control: Float[Array, "nu nv *rest"], segments: tuple[int, int], temperature: Any = None
+) -> tuple[Any, Any]:
     """Tensor-product enclosure ``(m_u+1, m_v+1, *rest)``: bounds in v, then lower of lower and upper of upper in u."""
-    across_lower, across_upper = enclose(jnp.swapaxes(control, 0, 1), segments[1])
-    lower, _ = enclose(jnp.swapaxes(across_lower, 0, 1), segments[0])
-    _, upper = enclose(jnp.swapaxes(across_upper, 0, 1), segments[0])
+    across_lower, across_upper = enclose(jnp.swapaxes(control, 0, 1), segments[1], temperature)
+    lower, _ = enclose(jnp.swapaxes(across_lower, 0, 1), segments[0], temperature)
+    _, upper = enclose(jnp.swapaxes(across_upper, 0, 1), segments[0], temperature)
     return lower, upper
 
 
@@ -181,6 +188,6 @@ def _slefe_jit(coefficients: Any, segments: int, axis: int) -> tuple[Any, Any]:
 
 
 @jax.jit(static_argnums=1)
-def boxes_pass(packed: Any, segments: tuple[int, int]) -> tuple[Any, Any]:
+def boxes_pass(packed: Any, segments: tuple[int, int], temperature: Any = None) -> tuple[Any, Any]:
     """Lower and upper ends of the slefe boxes of all patches, in the layout of the kernels."""
-    return layout.over_chunks(enclose_patch, packed, segments)
+    return layout.over_chunks(enclose_patch, packed, segments, temperature)

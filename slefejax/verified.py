@@ -17,7 +17,8 @@ from jaxtyping import Bool, Float, Int
 
 from slefejax import layout
 from slefejax.bezier import bernstein, combine, derivative
-from slefejax.estimate import Projection, larger
+from slefejax.estimate import Projection
+from slefejax.maxima import larger
 from slefejax.rings import Pattern
 from slefejax.tessellator import HIGHEST_LEVEL
 from slefejax.view import homogeneous

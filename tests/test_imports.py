@@ -18,6 +18,7 @@ LAYERS = [
         "bezier",
         "view",
         "layout",
+        "maxima",
         "edges",
         "tessellator",
         "slefe_tables",

@@ -1,0 +1,88 @@
+"""Maxima for kernels: exact ones, and soft ones that are smooth and never smaller.
+
+A soft maximum of temperature T, 0 < T <= 1, of numbers that are not negative is their norm of order 1/T: at least the
+largest of them, at most N^T times as much where there are N, and smooth, with weights that add up in its gradient
+where several are equal. It does not depend on units. Where all of them are 0 it is 0 and so is its gradient.
+"""
+
+from __future__ import annotations
+
+from functools import reduce
+from typing import Any
+
+import jax.numpy as jnp
+from jax.lax import select, stop_gradient
+
+
+def larger(a: Any, b: Any) -> Any:
+    """The larger of two arrays, element by element; NaN is not passed on.
+
+    Where they are equal the derivative is that of b.
+    """
+    # select instead of jnp.maximum: 4 to 6 times faster on the CPU
+    return select(a > b, a, b)
+
+
+def smaller(a: Any, b: Any) -> Any:
+    """The smaller of two arrays, element by element; NaN is not passed on. The derivative is b's where equal."""
+    return select(a < b, a, b)
+
+
+def largest(values: list[Any], temperature: Any = None) -> Any:
+    """The largest of arrays, element by element; with a temperature softly, and then none may be negative."""
+    whole = reduce(larger, values)
+    if temperature is None or len(values) == 1:
+        return whole
+    unit = _unit(whole)
+    return _soft(whole, sum((value / unit) ** (1.0 / temperature) for value in values), temperature)
+
+
+def largest_along(values: Any, axis: tuple[int, ...], temperature: Any) -> Any:
+    """The soft maximum along axes of an array that is not negative."""
+    whole = jnp.max(values, axis=axis)
+    unit = _unit(whole)
+    powers = (values / jnp.expand_dims(unit, axis)) ** (1.0 / temperature)
+    return _soft(whole, jnp.sum(powers, axis=axis), temperature)
+
+
+def sizes(values: list[Any], temperature: Any) -> list[Any]:
+    """A smooth stand-in for the size of each of some numbers, at least that: T of the length of all is added."""
+    unit = _unit(reduce(larger, [jnp.abs(value) for value in values]))
+    parts = [(value / unit) ** 2 for value in values]
+    added = temperature**2 * sum(parts)
+    return [unit * root(part + added) for part in parts]
+
+
+def extent(values: list[Any], temperature: Any) -> Any:
+    """The largest less the smallest of arrays, element by element; with a temperature smoothly, and at least that."""
+    if temperature is None:
+        return reduce(larger, values) - reduce(smaller, values)
+    middle = sum(values) / len(values)
+    apart = [value - middle for value in values]
+    unit = _unit(reduce(larger, [jnp.abs(x) for x in apart]))
+    scaled = [x / unit for x in apart]
+    blur = temperature * root(sum(x * x for x in scaled) / len(values))
+    # where all are equal nothing is added, and nothing is divided by 0
+    safe = jnp.where(blur > 0, blur, 1.0)
+    ends = []
+    for side in ([x for x in scaled], [-x for x in scaled]):
+        top = stop_gradient(reduce(larger, side))
+        ends.append(top + blur * jnp.log(sum(jnp.exp((x - top) / safe) for x in side)))
+    return unit * (ends[0] + ends[1]) * (blur > 0)
+
+
+def _soft(whole: Any, powers: Any, temperature: Any) -> Any:
+    """From the sum of powers of the values over their largest: at least 1, unless all values are 0."""
+    some = whole > 0
+    return _unit(whole) * jnp.where(some, powers, 1.0) ** temperature * some
+
+
+def _unit(whole: Any) -> Any:
+    """What numbers are divided by, so that powers neither overflow nor vanish; the result does not depend on it."""
+    return stop_gradient(jnp.where(whole > 0, whole, jnp.ones_like(whole)))
+
+
+def root(square: Any) -> Any:
+    """The square root, with a derivative of 0 at 0."""
+    safe = jnp.where(square > 0, square, 1.0)
+    return jnp.where(square > 0, jnp.sqrt(safe), 0.0)
