@@ -11,7 +11,7 @@ import numpy as np
 
 from slefejax.conversion.acc import ALPHA
 from slefejax.errors import InputError
-from slefejax.factors import Request
+from slefejax.request import Request
 from slefejax.rig import Deformation
 from slefejax.scene import Scene, load
 from slefejax.skinning import dual_quaternion_blend, linear_blend

@@ -71,17 +71,31 @@ def factor_of_boxes(
 
     smooth : a temperature (``slefejax.maxima``), or None. Whether a tile is on the screen stays a yes or no.
     """
+    width, depth, seen = visible_widths(boxes, control, projection, smooth, segments, depth_tolerance is not None)
+    demand = width / tolerance
+    if depth is not None:
+        demand = largest([demand, depth / depth_tolerance], smooth)
+    factor = tau(demand, k, max(segments), smooth)
+    return select(seen, factor, jnp.zeros_like(factor))
+
+
+def visible_widths(
+    boxes: tuple[Any, Any],
+    control: Any,
+    projection: Projection,
+    smooth: Any,
+    segments: tuple[int, int],
+    with_depth: bool,
+) -> tuple[Any, Any, Any]:
+    """The largest width of the boxes of visible tiles in pixels (2012, eq 8) and in depth, and if there is one."""
     lower, upper = boxes
     inside = inside_of_tiles(lower, upper, projection.frustum)
     if lower.shape[2] == 4:
-        width, depth = rational_widths(control, projection, segments, depth_tolerance is not None, smooth)
+        width, depth = rational_widths(control, projection, segments, with_depth, smooth)
     else:
-        width, depth = projected_widths(lower, upper, projection, depth_tolerance is not None, smooth)
-    demand = visible_maximum(width, inside, smooth) / tolerance
-    if depth is not None:
-        demand = largest([demand, visible_maximum(depth, inside, smooth) / depth_tolerance], smooth)
-    factor = tau(demand, k, max(segments), smooth)
-    return select(largest_of(inside) >= 0, factor, jnp.zeros_like(factor))
+        width, depth = projected_widths(lower, upper, projection, with_depth, smooth)
+    of_depth = None if depth is None else visible_maximum(depth, inside, smooth)
+    return visible_maximum(width, inside, smooth), of_depth, largest_of(inside) >= 0
 
 
 def tau(demand: Any, k: Any, m: int, smooth: Any = None) -> Any:

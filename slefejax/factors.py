@@ -14,20 +14,20 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from slefejax import layout
-from slefejax.arguments import Number, Patches, Segments, check_patches, check_positive, is_whole, segment_pair
+from slefejax.arguments import Number, Patches, Segments, check_patches, check_positive
 from slefejax.certificate import Certificate
 from slefejax.certified import certified_factors
 from slefejax.drawn import drawn_levels
 from slefejax.edges import check_edge_numbers, edge_maxima, shared_edges
 from slefejax.errors import InputError
 from slefejax.estimate import Projection, factor_of_boxes, slefe_factor
-from slefejax.rings import Pattern, direct3d11
-from slefejax.rules import RULES, SETTINGS, on_screen
+from slefejax.request import Request
+from slefejax.rings import Pattern
+from slefejax.rules import RULES, on_screen
 from slefejax.tiles import check_weights
 from slefejax.verified import Nets, drawn_grids_hold, verified_factors
 from slefejax.view import View
 
-METHODS = ("certified", "slefe", *RULES)
 _LARGEST_LEVEL = 2**31
 
 
@@ -201,68 +201,6 @@ def tessellation_factors(
     return factors_of(packed, None, lambda: patches, len(patches), view, request, edge_numbers)
 
 
-@dataclass(frozen=True)
-class Request:
-    """What ``tessellation_factors`` is asked for besides patches and a view, checked. Make it with ``Request.of``.
-
-    fineness : static: tiles of ``certified``, (m_u, m_v) of ``slefe``
-    numbers  : tolerance, then those of the method; None for what is not asked for
-    """
-
-    method: str
-    fineness: Any
-    numbers: tuple[Any, ...]
-    anisotropic: bool
-    verify: bool
-    pattern: Pattern
-
-    @staticmethod
-    def of(
-        method: str = "certified",
-        dimension: int = 3,
-        *,
-        tiles: int = 2,
-        anisotropic: bool = False,
-        verify: bool = False,
-        segments: Segments = 3,
-        tolerance: Number = 0.5,
-        depth_tolerance: Number | None = None,
-        k: Number = 1.0,
-        setting: Number | None = None,
-        smooth: Number | None = None,
-        pattern: Pattern | None = None,
-    ) -> Request:
-        """From the arguments of ``tessellation_factors``, for control points of that dimension. Raises as it does."""
-        _check_method(method, dimension, depth_tolerance, setting)
-        asked = {"anisotropic": anisotropic, "verify": verify, "pattern": pattern is not None}
-        _check_smooth(method, smooth, anisotropic or verify)
-        _check_numbers(method, asked, tiles, {"tolerance": tolerance, "k": k, "depth_tolerance": depth_tolerance})
-        if pattern is not None and not isinstance(pattern, Pattern):
-            raise InputError(f"pattern must be a slefejax.rings.Pattern, not {type(pattern).__name__}")
-        if method == "certified":
-            numbers: tuple[Any, ...] = (tolerance, depth_tolerance, smooth)
-        elif method == "slefe":
-            numbers = (tolerance, depth_tolerance, k, smooth)
-        else:
-            numbers = (tolerance, SETTINGS.get(method) if setting is None else setting)
-        fineness = {"certified": int(tiles), "slefe": segment_pair(segments)}.get(method)
-        return Request(method, fineness, numbers, anisotropic, verify, pattern or direct3d11())
-
-    @property
-    def smooth(self) -> Any:
-        """The temperature, or None."""
-        return self.numbers[-1] if self.method in ("certified", "slefe") else None
-
-    def left_out(self) -> tuple[str, ...]:
-        """What is not computed because it was not asked for, a sentence each."""
-        left = []
-        if self.method in ("certified", "slefe") and self.numbers[1] is None:
-            left.append("depth widths: no depth tolerance was given")
-        if self.method != "slefe":
-            left.append(f"slefe boxes: the method {self.method} does without")
-        return tuple(left)
-
-
 def factors_of(
     packed: Any,
     boxes: tuple[Any, Any] | None,
@@ -345,41 +283,6 @@ def _seen(rule: Callable[..., Any]) -> Callable[..., Any]:
         return jnp.where(on_screen(control, projection), rule(control, projection, *arguments), 0.0)
 
     return kernel
-
-
-def _check_method(method: str, dimension: int, depth_tolerance: Any, setting: Any) -> None:
-    if method not in METHODS:
-        raise InputError(f"there is no method {method!r}: choose one of {', '.join(METHODS)}")
-    if method == "filip" and dimension == 4:
-        raise InputError("method 'filip' bounds polynomial patches, (patches, du+1, dv+1, 3): these are rational")
-    if depth_tolerance is not None and method not in ("certified", "slefe"):
-        raise InputError(f"method {method!r} knows no depth_tolerance")
-    if setting is not None:
-        if method not in SETTINGS:
-            raise InputError(f"method {method!r} has no setting: {', '.join(SETTINGS)} have one")
-        check_positive("setting", setting)
-
-
-def _check_smooth(method: str, smooth: Any, whole: bool) -> None:
-    if smooth is None:
-        return
-    if method not in ("certified", "slefe"):
-        raise InputError(f"method {method!r} knows no smooth: 'certified' and 'slefe' do")
-    if whole:
-        raise InputError("smooth is of real factors: anisotropic and verify find whole numbers without it")
-    check_positive("smooth", smooth)
-    if not isinstance(smooth, Tracer) and float(smooth) > 1.0:
-        raise InputError(f"smooth is a temperature of at most 1, not {smooth}: 0.01 or less is close to the maximum")
-
-
-def _check_numbers(method: str, asked: dict[str, bool], tiles: Any, positive: dict[str, Any]) -> None:
-    if not is_whole(tiles, 1):
-        raise InputError(f"tiles must be a whole number of at least 1, not {tiles!r}")
-    if method != "certified" and any(asked.values()):
-        raise InputError(f"method {method!r} knows no {max(asked, key=asked.__getitem__)}: 'certified' does")
-    for name, value in positive.items():
-        if value is not None or name != "depth_tolerance":
-            check_positive(name, value)
 
 
 def _unless_bad(kernel: Callable[..., Any]) -> Callable[..., Any]:

@@ -23,7 +23,8 @@ from slefejax import layout
 from slefejax.conversion.patchwork import in_layout
 from slefejax.errors import InputError
 from slefejax.estimate import Projection
-from slefejax.factors import Factors, Request, factors_of, view_pass
+from slefejax.factors import Factors, factors_of, view_pass
+from slefejax.request import Request
 from slefejax.rig import Deformation, Pose, check_time
 from slefejax.scene import Scene
 from slefejax.skinning import Influences, linear_blend

@@ -36,6 +36,7 @@ LAYERS = [
         "optimum",
         "rivals",
         "estimate",
+        "request",
         "nets",
         "certified",
         "verified",
@@ -50,8 +51,8 @@ LAYERS = [
         "io",
         "data",
     },
-    {"certificate", "drawn", "factors", "minimal", "covering"},
-    {"scene", "session", "testing"},
+    {"certificate", "drawn", "factors", "widths", "curves", "minimal", "covering"},
+    {"scene", "session", "testing", "fitting"},
 ]
 ANALYSIS = set().union(*LAYERS)
 GROUND = LAYERS[0] | LAYERS[1]
