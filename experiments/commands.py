@@ -11,6 +11,7 @@ from slefejax.experiments.certify import Certify
 from slefejax.experiments.doctor import Doctor
 from slefejax.experiments.error_time import ErrorTime
 from slefejax.experiments.factors import FactorsOfScene
+from slefejax.experiments.fit_km import FitKm
 from slefejax.experiments.inspect import Inspect
 from slefejax.experiments.minimality import Minimality
 from slefejax.experiments.scaling import Scaling
@@ -22,6 +23,7 @@ Command = (
     | Annotated[Inspect, subcommand("inspect")]
     | Annotated[Animate, subcommand("animate")]
     | Annotated[Certify, subcommand("certify")]
+    | Annotated[FitKm, subcommand("fit-km")]
     | Annotated[ErrorTime, subcommand("error-time")]
     | Annotated[Scaling, subcommand("scaling")]
     | Annotated[Tightness, subcommand("tightness")]
