@@ -12,8 +12,8 @@ import numpy as np
 
 from slefejax import Scene, View
 from slefejax.errors import InputError
-from slefejax.experiments.options import planes
-from slefejax.view import Camera
+from slefejax.framing import clipping_planes
+from slefejax.view import Camera, bounding_sphere
 
 COLUMNS = ("eye_x", "eye_y", "eye_z", "target_x", "target_y", "target_z")
 ViewPath = Callable[[float], View]  # from 0, the first frame, to 1, the last
@@ -48,7 +48,7 @@ def _views(scene: Scene, view: View, places: Places) -> ViewPath:
     def at(share: float) -> View:
         own = view.camera
         eye, target = places(share, own)
-        near, far = planes(scene, own, eye)
+        near, far = map(float, clipping_planes(bounding_sphere(scene.points()), own, eye))
         return replace(view, camera=Camera.look_at(eye, target, own.up, own.extent, near, far))
 
     return at

@@ -7,6 +7,7 @@ from typing import Annotated
 from tyro.conf import subcommand
 
 from slefejax.experiments.animate import Animate
+from slefejax.experiments.budget import BudgetOfScene
 from slefejax.experiments.certify import Certify
 from slefejax.experiments.doctor import Doctor
 from slefejax.experiments.error_time import ErrorTime
@@ -24,6 +25,7 @@ Command = (
     | Annotated[Animate, subcommand("animate")]
     | Annotated[Certify, subcommand("certify")]
     | Annotated[FitKm, subcommand("fit-km")]
+    | Annotated[BudgetOfScene, subcommand("budget")]
     | Annotated[ErrorTime, subcommand("error-time")]
     | Annotated[Scaling, subcommand("scaling")]
     | Annotated[Tightness, subcommand("tightness")]

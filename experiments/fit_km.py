@@ -29,6 +29,17 @@ _CURVES, _PIECES = 20_000, 64
 _UNSEEN = ("twisted-quad", "steep-patch")
 _REPEATS = 7
 _WORST = 8
+_SHOWN = (
+    "scene",
+    "segments",
+    "analytic_cubic",
+    "largest",
+    "quantile",
+    "quantile_low",
+    "quantile_high",
+    "least-squares",
+)
+_SHOWN += ("largest_unsafe_share", "quantile_unsafe_share", "quantile_triangles", "samples", "published", "converged")
 
 
 @dataclass(frozen=True)
@@ -67,11 +78,11 @@ class FitKm:
             found = self._measure(run, scenes)
             together = [("all", Samples.joined([m.samples for m in found]))] if len(found) > 1 else []
             sets = [*((m.name, m.samples) for m in found), *together]
-            cases = [(name, m, e) for name, _ in sets for m in self.segments for e in ESTIMATORS]
+            cases = [(name, samples, m) for name, samples in sets for m in self.segments]
             with progress("fitting", len(cases)) as show:
                 rows = []
-                for name, m, estimator in cases:
-                    rows.append(self._row(name, dict(sets)[name], m, estimator))
+                for case in cases:
+                    rows.append(self._row(*case))
                     show(len(rows))
             curves = [self._curve_row(m) for m in self.segments]
             models = self._compare(found)
@@ -93,7 +104,7 @@ class FitKm:
             ("where the estimate is furthest off: ratio of what is needed to it, and its twist over m² w", worst),
         )
         notes = tuple(note for scene in scenes for note in scene.notes)
-        return Report(names, out, rows, title, notes, more, self.output.json, more=below)
+        return Report(names, out, rows, title, notes, more, self.output.json, more=below, shown=_SHOWN)
 
     def _check(self) -> None:
         if not self.scenes or len(set(self.scenes)) < len(self.scenes):
@@ -143,28 +154,28 @@ class FitKm:
             run.file(_part(key)).unlink()
         return found
 
-    def _row(self, name: str, samples: Samples, m: int, estimator: str) -> Row:
-        options = {"target": self.target, "estimator": estimator, "temperature": self.temperature}
-        fit = fit_km(samples, m, **options)
-        interval = bootstrap_km(samples, m, **options, resamples=self.resamples, seed=self.seed)
-        factors, fits = cross_validated(samples, self.folds, segments=m, **options)
-        outcome = held_out(samples, factors)
-        return {
-            "scene": name,
-            "segments": m,
-            "estimator": estimator,
-            "k": fit.k,
-            "k_low": interval.low,
-            "k_high": interval.high,
-            "analytic_cubic": curve_constant(3, m),
-            "held_out_share_unsafe": outcome.share_unsafe,
-            "factor_over_minimal_median": outcome.over_minimal_median,
-            "factor_over_minimal_p95": outcome.over_minimal_p95,
-            "triangles_over_minimal": outcome.triangles_over_minimal,
-            "samples": fit.samples,
-            "converged": _said([fit, *fits]),
-            "published": PUBLISHED,
-        }
+    def _row(self, name: str, samples: Samples, m: int) -> Row:
+        """All estimators, with intervals, and how each does in views that were held out."""
+        row: Row = {"scene": name, "segments": m}
+        count, every = 0, []
+        for estimator in ESTIMATORS:
+            options = {"target": self.target, "estimator": estimator, "temperature": self.temperature}
+            fit = fit_km(samples, m, **options)
+            interval = bootstrap_km(samples, m, **options, resamples=self.resamples, seed=self.seed)
+            factors, fits = cross_validated(samples, self.folds, segments=m, **options)
+            outcome = held_out(samples, factors)
+            count, every = fit.samples, [*every, fit, *fits]
+            row |= {
+                estimator: fit.k,
+                f"{estimator}_low": interval.low,
+                f"{estimator}_high": interval.high,
+                f"{estimator}_unsafe_share": outcome.share_unsafe,
+                f"{estimator}_over_minimal_median": outcome.over_minimal_median,
+                f"{estimator}_over_minimal_p95": outcome.over_minimal_p95,
+                f"{estimator}_triangles": outcome.triangles_over_minimal,
+            }
+        analytic = {"analytic_cubic": curve_constant(3, m), "published": PUBLISHED}
+        return {**row, **analytic, "samples": count, "converged": _said(every)}
 
     def _curve_row(self, m: int) -> Row:
         random = np.random.default_rng(self.seed).normal(size=(4, _CURVES))
@@ -242,7 +253,7 @@ def _model_row(scene: _Measured, name: str, factor: np.ndarray, fits: list[Fit])
         "k": float(np.sqrt(coefficients[0])) if len(coefficients) else float("nan"),
         "twist_coefficient": float(coefficients[1]) if len(coefficients) > 1 else float("nan"),
         "held_out_share_unsafe": outcome.share_unsafe,
-        "max_error_px": _largest_error(scene, np.ceil(factor).astype(int)),
+        "max_error_px": _largest_error(scene, factor),
         "factor_over_minimal_median": outcome.over_minimal_median,
         "factor_over_minimal_p95": outcome.over_minimal_p95,
         "triangles_over_minimal": outcome.triangles_over_minimal,
@@ -250,9 +261,12 @@ def _model_row(scene: _Measured, name: str, factor: np.ndarray, fits: list[Fit])
     }
 
 
-def _largest_error(scene: _Measured, levels: np.ndarray) -> float:
-    """Over all samples, measured at these levels: an error may grow again above the minimal factor."""
+def _largest_error(scene: _Measured, factor: np.ndarray) -> float:
+    """Over all samples, measured at factors rounded up: an error may grow again above the minimal factor."""
     largest, samples = 0.0, scene.samples
+    if not np.isfinite(factor).all():
+        return float("nan")
+    levels = np.ceil(factor).astype(int)
     for number, view in enumerate(scene.views):
         own = samples.view == number
         if own.any():

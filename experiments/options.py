@@ -11,6 +11,7 @@ import numpy as np
 
 from slefejax.conversion.acc import ALPHA
 from slefejax.errors import InputError
+from slefejax.framing import clipping_planes
 from slefejax.request import Request
 from slefejax.rig import Deformation
 from slefejax.scene import Scene, load
@@ -46,7 +47,7 @@ class ViewOptions:
         width, height = parse_size(self.size)
         own = self._framed(scene, width / height)
         eye = own.eye if self.eye is None else np.asarray(self.eye)
-        near, far = planes(scene, own, eye)
+        near, far = map(float, clipping_planes(bounding_sphere(scene.points()), own, eye))
         near, far = near if self.near is None else self.near, far if self.far is None else self.far
         camera = Camera.look_at(
             eye,
@@ -65,15 +66,6 @@ class ViewOptions:
                 raise InputError("--cover frames the scene and --eye places the camera: give one of them")
             return scene.default_camera(aspect)
         return scene.default_camera(aspect, self.cover, self.up)
-
-
-def planes(scene: Scene, own: Camera, eye: np.ndarray) -> tuple[float, float]:
-    """Near and far: the camera's own, moved so that the whole scene lies between them, seen from another eye."""
-    centre, radius = bounding_sphere(scene.points())
-    with np.errstate(over="ignore"):  # the camera says what is wrong with such an eye
-        distance = float(np.linalg.norm(eye - centre))
-    near = own.near if distance - radius > own.near else min(own.near, radius / 1000.0)
-    return near, max(own.far, distance + 2.0 * radius)
 
 
 def camera_record(view: View) -> dict:

@@ -30,15 +30,17 @@ def write_fit_km(
     """Four panels: needed against predicted; the ratio against twist; k_m against m; what each model costs and leaves.
 
     points : for every scene its name, the terms m^2 w / tolerance, and its samples
-    fits   : rows of all estimators for one set of samples;  curves : rows a number of segments
+    fits   : rows of one set of samples, a number of segments each;  curves : rows a number of segments
     models : rows a scene and model, those with a time belonging to scenes that were fitted
     """
-    k = next(row["k"] for row in fits if row["segments"] == m and row["estimator"] == "quantile")
+    k = next(row["quantile"] for row in fits if row["segments"] == m)
     with mpl.rc_context(SETTINGS):
         figure = new_figure(14, 11)
         first, second, third, fourth = figure.subplots(2, 2).ravel()
         shown = [(name, *_chosen(slefe, samples)) for name, slefe, samples in points]
-        _plot_factors(first, shown, k, m, target)
+        hidden = sum(int(np.sum((samples.minimal > 1) & (slefe <= 0))) for _, slefe, samples in points)
+        beyond = f"\n{hidden:,} more need pieces though the estimate is 0" if hidden else ""
+        _plot_factors(first, shown, k, m, target, beyond)
         _plot_ratios(second, shown, k, m)
         _plot_constants(third, fits, curves)
         _plot_models(fourth, models)
@@ -60,19 +62,21 @@ def _dot(values: np.ndarray) -> float:
     return 3.0 if len(values) > 1000 else 5.0
 
 
-def _plot_factors(axes: Axes, shown: list[Any], k: float, m: int, target: float) -> None:
+def _plot_factors(axes: Axes, shown: list[Any], k: float, m: int, target: float, beyond: str) -> None:
     for (name, estimate, needed, _), mark, colour in zip(shown, _MARKS, _COLOURS * 2, strict=False):
         axes.plot(estimate, needed, mark, ms=_dot(needed), alpha=0.4, mew=0, color=colour, label=name)
-    ends = np.array([min(s[1].min() for s in shown), max(s[1].max() for s in shown)])
+    every = np.concatenate([estimate for _, estimate, *_ in shown])
+    ends = np.array([every.min(), every.max()]) if len(every) else np.array([1.0, 10.0])
     axes.plot(ends, ends, "k:", lw=1.4, label="k = 1")
-    axes.plot(ends, k * ends, "k-", lw=1.8, label=f"$k_{m}$ = {k:.3f}, {100 * target:g} % below")
+    if np.isfinite(k):
+        axes.plot(ends, k * ends, "k-", lw=1.8, label=f"$k_{m}$ = {k:.3f}, {100 * target:g} % below")
     axes.set_xscale("log")
     axes.set_yscale("log")
     _plain_ticks(axes, "x", _PIECES)
     _plain_ticks(axes, "y", _PIECES)
     axes.set_xlabel(f"estimate $m\\sqrt{{w/\\mathrm{{tolerance}}}}$, m = {m} (pieces)")
     axes.set_ylabel("needed τ* (pieces)")
-    axes.set_title("a dot a patch and view; above a line the constant is too small")
+    axes.set_title("a dot a patch and view; above a line the constant is too small" + beyond)
     _legend(axes)
 
 
@@ -89,7 +93,8 @@ def _plot_ratios(axes: Axes, shown: list[Any], k: float, m: int) -> None:
             label=name,
         )
     axes.axhline(1.0, color="black", ls=":", lw=1.4)
-    axes.axhline(k, color="black", lw=1.8)
+    if np.isfinite(k):
+        axes.axhline(k, color="black", lw=1.8)
     axes.set_xscale("log")
     _plain_ticks(axes, "x", (1e-3, 0.01, 0.1, 0.2, 0.5, 1, 2, 5, 10, 100))
     axes.set_xlabel("twist over m² w (what the estimate does not see over what it does)")
@@ -100,10 +105,10 @@ def _plot_ratios(axes: Axes, shown: list[Any], k: float, m: int) -> None:
 
 def _plot_constants(axes: Axes, fits: Rows, curves: Rows) -> None:
     for shift, (estimator, style) in zip((-0.08, 0.0, 0.08), _ESTIMATORS.items(), strict=True):
-        own = [row for row in fits if row["estimator"] == estimator and np.isfinite(row["k"])]
+        own = [row for row in fits if np.isfinite([row[estimator], row[f"{estimator}_high"]]).all()]
         if own:
-            k = np.array([row["k"] for row in own])
-            spread = [k - [row["k_low"] for row in own], [row["k_high"] for row in own] - k]
+            k = np.array([row[estimator] for row in own])
+            spread = [k - [row[f"{estimator}_low"] for row in own], [row[f"{estimator}_high"] for row in own] - k]
             at = np.array([row["segments"] for row in own]) + shift
             axes.errorbar(at, k, yerr=np.maximum(spread, 0.0), capsize=3, ls="--", lw=1, label=estimator, **style)
     m = [row["segments"] for row in curves]
@@ -114,7 +119,8 @@ def _plot_constants(axes: Axes, fits: Rows, curves: Rows) -> None:
     axes.set_xticks(m)
     axes.set_xlabel("pieces m of the slefe")
     axes.set_ylabel("$k_m$, with 95 % intervals")
-    axes.set_title(f"fitted constants, {fits[0]['scene']}")
+    whose = "all scenes" if fits[0]["scene"] == "all" else fits[0]["scene"]
+    axes.set_title(f"fitted constants, {whose}")
     axes.legend(fontsize=10, ncols=2, loc="upper right")
     axes.set_ylim(top=axes.get_ylim()[1] + 0.35 * np.diff(axes.get_ylim())[0])
 
@@ -127,6 +133,8 @@ def _plot_models(axes: Axes, models: Rows) -> None:
     for name, colour in zip(names, _MODEL_COLOURS, strict=False):
         for scene, mark in zip(scenes, _MARKS, strict=False):
             row = next(r for r in models if r["model"] == name and r["scene"] == scene)
+            if np.isnan(row["held_out_share_unsafe"]):
+                continue
             share = max(floor, row["held_out_share_unsafe"])
             axes.plot(row["triangles_over_minimal"], share, mark, ms=9, color=colour, alpha=0.85, mec="white")
     for name, colour in zip(names, _MODEL_COLOURS, strict=False):

@@ -7,12 +7,16 @@
 """
 
 from slefejax.bspline import bspline_slefe, bspline_slefe_boxes
+from slefejax.budget import Budget, distance_for_budget, real_triangles, tolerance_for_budget
 from slefejax.conversion.scheme import Conversion, convert
+from slefejax.curves import curve_constant
 from slefejax.errors import InputError, NoOpenGLError
 from slefejax.factors import Factors, tessellation_factors
+from slefejax.fitting import Fit, bootstrap_km, fit_km
 from slefejax.mesh import Mesh
 from slefejax.minimal import minimal_factors, minimal_pairs
 from slefejax.rig import Pose
+from slefejax.samples import Samples, measure_factors
 from slefejax.scene import Scene, load, save
 from slefejax.session import Session
 from slefejax.skinning import dual_quaternion_blend, linear_blend
@@ -21,35 +25,48 @@ from slefejax.supremum import sampled_error, worst_points
 from slefejax.tiles import slefe_tiles
 from slefejax.triangles import triangle_error
 from slefejax.view import Camera, View
+from slefejax.widths import screen_twists, screen_widths
 
 __all__ = [
+    "Budget",
     "Camera",
     "Conversion",
     "Factors",
+    "Fit",
     "InputError",
     "Mesh",
     "NoOpenGLError",
     "Pose",
+    "Samples",
     "Scene",
     "Session",
     "Slefe",
     "SlefeTable",
     "View",
+    "bootstrap_km",
     "bspline_slefe",
     "bspline_slefe_boxes",
     "convert",
+    "curve_constant",
+    "distance_for_budget",
     "dual_quaternion_blend",
+    "fit_km",
     "linear_blend",
     "load",
+    "measure_factors",
     "minimal_factors",
     "minimal_pairs",
+    "real_triangles",
     "sampled_error",
     "save",
+    "screen_twists",
+    "screen_widths",
     "slefe",
     "slefe_boxes",
     "slefe_table",
     "slefe_tiles",
     "tessellation_factors",
+    "tolerance_for_budget",
     "triangle_error",
     "worst_points",
 ]

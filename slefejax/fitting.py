@@ -64,7 +64,9 @@ class Fit:
         return float(np.sqrt(self.coefficients[0]))
 
     def factor(self, samples: Samples) -> Float[np.ndarray, "samples"]:
-        """The real factors that the fitted model predicts, at least 1."""
+        """The real factors that the fitted model predicts, at least 1; NaN if there is no such model."""
+        if not np.isfinite(self.coefficients).all():
+            return np.full(len(samples), np.nan)
         return np.sqrt(np.maximum(1.0, samples.design(self.terms) @ self.coefficients))
 
 
@@ -105,7 +107,8 @@ def fit_km(
     hidden = 1.0 - float(reachable.mean())
     make = partial(Fit, names, estimator=estimator, target=float(target), samples=len(chosen))
     if hidden > 1.0 - level:
-        reason = f"{100 * hidden:.3g} % of the samples need pieces though {' and '.join(names)} are 0"
+        what = f"{' and '.join(names)} {'are' if len(names) > 1 else 'is'} 0"
+        reason = f"{100 * hidden:.3g} % of the samples need pieces though {what}"
         return make(coefficients=np.full(len(names), np.inf), converged=False, reason=reason)
     # those out of reach are unsafe whatever the constant, so the others have to make up for them
     level, design, needed = level / (1.0 - hidden), design[reachable], needed[reachable]
@@ -166,14 +169,17 @@ class HeldOut(NamedTuple):
 
 
 def held_out(samples: Samples, factors: Float[np.ndarray, "samples"]) -> HeldOut:
-    """How real factors compare with the minimal ones of the same samples, those of minimal factor 1 left out."""
+    """How real factors compare with the minimal ones of the same samples, those of minimal factor 1 left out.
+
+    All NaN if a factor is. Raises InputError if every minimal factor is 1.
+    """
     counted = samples.minimal > 1
     if not counted.any():
         raise InputError("every patch has a minimal factor of 1: there is nothing to compare with")
     minimal, whole = samples.minimal[counted], np.ceil(np.asarray(factors)[counted])
     ratio = whole / minimal
     return HeldOut(
-        float(np.mean(whole < minimal)),
+        float(np.mean(whole < minimal)) if np.isfinite(whole).all() else float("nan"),
         float(np.median(ratio)),
         float(np.quantile(ratio, 0.95)),
         float(np.sum(whole**2) / np.sum(minimal**2)),
@@ -328,9 +334,12 @@ def _resampled(
     if estimator == "least-squares":
         finite = np.isfinite(ratios)
         own, of = weights[:, finite], ratios[finite]
-        mean = own @ of / own.sum(axis=1)
-        spread = np.sqrt(np.maximum(0.0, own @ of**2 / own.sum(axis=1) - mean**2))
-        return mean + norm.ppf(level) * spread
+        some = np.maximum(own.sum(axis=1), 1e-300)
+        mean = own @ of / some
+        spread = np.sqrt(np.maximum(0.0, own @ of**2 / some - mean**2))
+        # as in fit_km: the others make up for those that are out of reach
+        needed = level * weights.sum(axis=1) / some
+        return np.where(needed < 1.0, mean + norm.ppf(np.clip(needed, 0.0, np.nextafter(1.0, 0.0))) * spread, np.inf)
     more = (1 << (len(ratios) - 1).bit_length()) - len(ratios)
     ratios, weights = np.pad(ratios, (0, more), constant_values=np.inf), np.pad(weights, ((0, 0), (0, more)))
     with jax.enable_x64(True):
@@ -348,7 +357,7 @@ def _quantiles_jit(ratios: Any, weights: Any, level: Any, temperature: Any) -> A
         def slope(logk: Any, _: Any) -> Any:
             return jnp.sum(own * jax.nn.sigmoid((logk - ratios) / temperature)) / jnp.sum(own) - level
 
-        solver = optx.Bisection(rtol=0.0, atol=1e-4 * 1e-3, expand_if_necessary=False)
+        solver = optx.Bisection(rtol=0.0, atol=1e-7, flip=False)
         middle = 0.5 * (low + high)
         options = {"lower": low, "upper": high}
         found = optx.root_find(slope, solver, middle, options=options, max_steps=100, throw=False)

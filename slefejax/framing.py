@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -19,6 +21,19 @@ _MARGIN = 0.98  # of half the picture, within which everything stays
 _CELLS = 20_000  # quads that are painted at most, as far as the number of patches allows
 _STEPS = 6
 _WITHIN = 0.002  # of the screen; a hundredth of what a different model or view changes
+
+
+def clipping_planes(sphere: tuple[Any, Any], own: Camera, eye: Any) -> tuple[Any, Any]:
+    """Near and far of a camera that is moved: its own, but so that the whole scene lies between them.
+
+    sphere : centre and radius of the scene (``slefejax.view.bounding_sphere``);  eye : the new place, may be traced
+    """
+    centre, radius = sphere
+    xp: Any = jnp if isinstance(eye, jax.Array) else np
+    with np.errstate(over="ignore"):  # the camera says what is wrong with such an eye
+        distance = xp.linalg.norm(eye - centre)
+    near = xp.where(distance - radius > own.near, own.near, xp.minimum(own.near, radius / 1000.0))
+    return near, xp.maximum(own.far, distance + 2.0 * radius)
 
 
 def frame_share(
