@@ -16,6 +16,7 @@ from slefejax.experiments.fit_km import FitKm
 from slefejax.experiments.inspect import Inspect
 from slefejax.experiments.minimality import Minimality
 from slefejax.experiments.scaling import Scaling
+from slefejax.experiments.sensitivity import SensitivityOfScene
 from slefejax.experiments.tightness import Tightness
 
 Command = (
@@ -26,6 +27,7 @@ Command = (
     | Annotated[Certify, subcommand("certify")]
     | Annotated[FitKm, subcommand("fit-km")]
     | Annotated[BudgetOfScene, subcommand("budget")]
+    | Annotated[SensitivityOfScene, subcommand("sensitivity")]
     | Annotated[ErrorTime, subcommand("error-time")]
     | Annotated[Scaling, subcommand("scaling")]
     | Annotated[Tightness, subcommand("tightness")]

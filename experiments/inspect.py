@@ -19,6 +19,7 @@ from slefejax.edges import edge_points
 from slefejax.error import pixel_error
 from slefejax.errors import InputError, NoOpenGLError
 from slefejax.experiments.options import LoadOptions, OutputOptions, ViewOptions, camera_record
+from slefejax.experiments.outlines import outlines
 from slefejax.experiments.report import Report
 from slefejax.experiments.savings import savings
 from slefejax.experiments.store import Row, Run, digest
@@ -28,7 +29,6 @@ from slefejax.io.content import Content
 from slefejax.mesh import Mesh
 from slefejax.scene import BUILT_IN, read
 from slefejax.tessellator import HIGHEST_LEVEL, triangle_counts
-from slefejax.view import homogeneous
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ def _picture(scene: Scene, view: View, tolerance: float, run: Run) -> tuple[Row,
     kinds = np.full(len(patches), KINDS.index("bezier")) if scene.kinds is None else scene.kinds
     painted = np.where(shown, np.append(kinds, 0)[seen.patch], -1)
     factor = np.where(shown, np.append(np.asarray(factors.factor, float), 0.0)[seen.patch], np.nan)
-    panels = Panels(_outlines(scene, view), seen.patch, painted, KINDS, factor, error)
+    panels = Panels(outlines(scene, view).polygons, seen.patch, painted, KINDS, factor, error)
     write_inspect_figure(run.file("inspect.png"), panels, _title(scene), tolerance)
     return row, notes
 
@@ -197,27 +197,3 @@ def _title(scene: Scene) -> str:
     if scene.conversion is None:
         return f"{scene.name}: {made}"
     return f"{scene.name}: {scene.conversion.mesh.face_count:,} faces, {made} by '{scene.conversion.scheme}'"
-
-
-def _outlines(scene: Scene, view: View) -> list[np.ndarray]:
-    """Polygons ``(corners, 2)`` in pixels, the furthest first: faces of the control mesh, or cells of control nets."""
-    if scene.conversion is not None:
-        mesh = scene.conversion.mesh
-        places, corners, sizes = mesh.vertices, mesh.corners, mesh.sizes
-    else:
-        places = scene.patches()
-        count, nu, nv = places.shape[:3]
-        places = places.reshape(-1, places.shape[3])
-        number = np.arange(count * nu * nv).reshape(count, nu, nv)
-        cells = [number[:, :-1, :-1], number[:, 1:, :-1], number[:, 1:, 1:], number[:, :-1, 1:]]
-        corners = np.stack(cells, axis=-1).ravel()
-        sizes = np.full(len(corners) // 4, 4)
-    screen = homogeneous(places) @ np.asarray(view.world_to_screen).T
-    weight = screen[:, 3]
-    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
-    depth = np.add.reduceat(weight[corners], starts) / sizes
-    behind = np.minimum.reduceat(weight[corners], starts) <= 0.0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        flat = screen[:, :2] / weight[:, None]
-    order = [k for k in np.argsort(-depth) if not behind[k]]
-    return [flat[corners[starts[k] : starts[k] + sizes[k]]] for k in order]

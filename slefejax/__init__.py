@@ -18,6 +18,7 @@ from slefejax.minimal import minimal_factors, minimal_pairs
 from slefejax.rig import Pose
 from slefejax.samples import Samples, measure_factors
 from slefejax.scene import Scene, load, save
+from slefejax.sensitivity import Sensitivity, sensitivity
 from slefejax.session import Session
 from slefejax.skinning import dual_quaternion_blend, linear_blend
 from slefejax.slefe import Slefe, SlefeTable, slefe, slefe_boxes, slefe_table
@@ -39,6 +40,7 @@ __all__ = [
     "Pose",
     "Samples",
     "Scene",
+    "Sensitivity",
     "Session",
     "Slefe",
     "SlefeTable",
@@ -61,6 +63,7 @@ __all__ = [
     "save",
     "screen_twists",
     "screen_widths",
+    "sensitivity",
     "slefe",
     "slefe_boxes",
     "slefe_table",

@@ -52,7 +52,7 @@ LAYERS = [
         "data",
     },
     {"certificate", "drawn", "factors", "widths", "curves", "minimal", "covering"},
-    {"scene", "session", "testing", "samples", "fitting", "budget"},
+    {"scene", "session", "testing", "samples", "fitting", "budget", "sensitivity"},
 ]
 ANALYSIS = set().union(*LAYERS)
 GROUND = LAYERS[0] | LAYERS[1]

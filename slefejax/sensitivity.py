@@ -1,0 +1,170 @@
+"""What the triangles of a scene depend on: control points, bones, shape keys, the tolerance, the camera's distance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from slefejax.budget import moved, real_triangles
+from slefejax.errors import InputError
+from slefejax.rig import Deformation, Pose
+from slefejax.scene import Scene
+from slefejax.skinning import linear_blend
+from slefejax.view import View, bounding_sphere
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Derivatives of the number of triangles, 2 sum tau^2 without rounding, in one view and pose.
+
+    triangles : that number
+    places    : ``(points, 3)``: vertices of the control mesh in the pose, or distinct control points of patches
+    points    : ``(points, 3)``, triangles a scene unit by which the point is moved along x, y, z
+    numbers   : ``(patches, du+1, dv+1)``, of a list of patches: which point each control point is; else None
+    turns     : ``(joints, 3)``, triangles a radian by which the joint turns about its own x, y, z; None without skeleton
+    shifts    : ``(joints, 3)``, triangles a unit by which it is moved along its own x, y, z; None without skeleton
+    keys      : ``(keys,)``, triangles a unit of the weight of each shape key; None without
+    tolerance : triangles a factor e of the tolerance: about minus as many as there are
+    distance  : triangles a factor e of the camera's distance from its target; NaN without perspective
+    """
+
+    triangles: float
+    places: Float[np.ndarray, "points 3"]
+    points: Float[np.ndarray, "points 3"]
+    numbers: Int[np.ndarray, "patches nu nv"] | None
+    turns: Float[np.ndarray, "joints 3"] | None
+    shifts: Float[np.ndarray, "joints 3"] | None
+    keys: Float[np.ndarray, "keys"] | None
+    tolerance: float
+    distance: float
+
+
+def sensitivity(
+    scene: Scene, view: View, pose: Any = None, *, deform: Deformation = linear_blend, **options: Any
+) -> Sensitivity:
+    """All derivatives at once, by reverse mode through projection, slefes or bounds, conversion, skinning, keys.
+
+    pose    : a time of the scene's motion, a ``Pose``, or None for the pose at rest
+    options : those of ``tessellation_factors`` but ``anisotropic`` and ``verify``; half a pixel and certified if none.
+              With ``smooth`` ties are shared, without it one of those that tie counts (docs/gradients.md)
+
+    Raises InputError for a scene, a pose or options that the functions above would refuse.
+
+    >>> from slefejax import Camera, load
+    >>> view = View(Camera.look_at((4.5, -6.0, 4.0), (0.0, 0.0, 1.2)), width=1440, height=900)
+    >>> found = sensitivity(load("teapot"), view, method="slefe", segments=1)
+    >>> found.points.shape, bool(abs(found.tolerance + found.triangles) < 1e-6 * found.triangles)
+    ((290, 3), True)
+    """
+    if not isinstance(scene, Scene):
+        raise InputError(f"sensitivity is of a slefejax.Scene, as load gives it, not of {type(scene).__name__}")
+    if not isinstance(view, View):
+        raise InputError(f"the view must be a slefejax.View (a camera and a picture size), not {type(view).__name__}")
+    for name in ("anisotropic", "verify"):
+        if options.pop(name, False):
+            raise InputError(f"{name} finds whole numbers, which have no derivatives: leave it out")
+    tolerance = float(options.pop("tolerance", 0.5))
+    model = _Mesh(scene, pose, deform) if scene.conversion is not None else _Points(scene)
+    sphere = bounding_sphere(scene.points())
+
+    def count(at: dict[str, Any], model: Any) -> Any:
+        seen = moved(view, sphere, jnp.exp(at["distance"])) if "distance" in at else view
+        own = {**options, "tolerance": tolerance * jnp.exp(at["tolerance"])}
+        return real_triangles(model.patches(at), seen, **own)
+
+    at = {**model.origin(), "tolerance": jnp.zeros(())}
+    if view.camera.perspective:
+        at["distance"] = jnp.zeros(())
+    triangles, slope = jax.jit(jax.value_and_grad(partial(count, model=model)))(at)
+    slope = {name: np.asarray(value, np.float64) for name, value in slope.items()}
+    return Sensitivity(
+        float(triangles),
+        model.places,
+        slope["points"],
+        model.numbers,
+        slope.get("turns"),
+        slope.get("shifts"),
+        slope.get("keys"),
+        float(slope["tolerance"]),
+        float(slope.get("distance", np.nan)),
+    )
+
+
+class _Points:
+    """A list of patches: control points that coincide move together, so that nothing opens."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.control = scene.patches()
+        flat = self.control.reshape(-1, self.control.shape[3])
+        size = float(np.max(np.abs(flat))) or 1.0
+        # as near as rounding leaves equal points
+        _, first, numbers = np.unique(np.round(flat / size, 12), axis=0, return_index=True, return_inverse=True)
+        self.places = flat[first, :3] / (flat[first, 3:] if flat.shape[1] == 4 else 1.0)
+        self.numbers = numbers.reshape(self.control.shape[:3])
+
+    def origin(self) -> dict[str, Any]:
+        return {"points": jnp.zeros(self.places.shape)}
+
+    def patches(self, at: dict[str, Any]) -> Any:
+        offset = at["points"][self.numbers]
+        if self.control.shape[3] == 3:
+            return self.control + offset
+        weighted = offset * self.control[..., 3:]
+        return self.control + jnp.concatenate([weighted, jnp.zeros_like(weighted[..., :1])], axis=-1)
+
+
+class _Mesh:
+    """A control mesh, with what moves it."""
+
+    numbers = None
+
+    def __init__(self, scene: Scene, pose: Any, deform: Deformation) -> None:
+        self.scene, self.deform, self.rig = scene, deform, scene.rig
+        if pose is not None and self.rig is None:
+            raise InputError(f"{scene.name} does not move: it has no pose but the one at rest")
+        self.pose = Pose()
+        if self.rig is not None:
+            found = self.rig.check(pose if isinstance(pose, Pose) else self.rig.pose(pose))
+            local, keys = found.local, found.keys
+            if local is None and self.rig.skeleton is not None:
+                local = jnp.asarray(self.rig.skeleton.rest)
+            if keys is None and self.rig.keys is not None:
+                keys = jnp.zeros(len(self.rig.keys.names))
+            self.pose = Pose(local, keys)
+        self.places = np.asarray(self._vertices(self.pose), np.float64)
+
+    def origin(self) -> dict[str, Any]:
+        found: dict[str, Any] = {"points": jnp.zeros(self.places.shape)}
+        if self.pose.local is not None:
+            found["turns"] = found["shifts"] = jnp.zeros((len(self.pose.local), 3))
+        if self.pose.keys is not None:
+            found["keys"] = jnp.zeros(len(self.pose.keys))
+        return found
+
+    def patches(self, at: dict[str, Any]) -> Any:
+        local, keys = self.pose
+        if local is not None:
+            local = local @ _small_motions(at["turns"], at["shifts"])
+        if keys is not None:
+            keys = keys + at["keys"]
+        assert self.scene.conversion is not None
+        return self.scene.conversion.patchwork.patches(self._vertices(Pose(local, keys)) + at["points"])
+
+    def _vertices(self, pose: Pose) -> Any:
+        assert self.scene.conversion is not None
+        rest = jnp.asarray(self.scene.conversion.mesh.vertices)
+        return rest if self.rig is None else self.rig.posed(rest, pose, self.deform)
+
+
+def _small_motions(turns: Any, shifts: Any) -> Any:
+    """Matrices ``(joints, 4, 4)`` of turns ``(joints, 3)``, to first order, and shifts."""
+    x, y, z = turns[:, 0], turns[:, 1], turns[:, 2]
+    one, zero = jnp.ones_like(x), jnp.zeros_like(x)
+    rows = [[one, -z, y, shifts[:, 0]], [z, one, -x, shifts[:, 1]], [-y, x, one, shifts[:, 2]], [zero, zero, zero, one]]
+    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
