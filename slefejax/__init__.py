@@ -15,6 +15,7 @@ from slefejax.factors import Factors, tessellation_factors
 from slefejax.fitting import Fit, bootstrap_km, fit_km
 from slefejax.mesh import Mesh
 from slefejax.minimal import minimal_factors, minimal_pairs
+from slefejax.relaxing import Relaxed, fewer_triangles, surface_distance
 from slefejax.rig import Pose
 from slefejax.samples import Samples, measure_factors
 from slefejax.scene import Scene, load, save
@@ -38,6 +39,7 @@ __all__ = [
     "Mesh",
     "NoOpenGLError",
     "Pose",
+    "Relaxed",
     "Samples",
     "Scene",
     "Sensitivity",
@@ -52,6 +54,7 @@ __all__ = [
     "curve_constant",
     "distance_for_budget",
     "dual_quaternion_blend",
+    "fewer_triangles",
     "fit_km",
     "linear_blend",
     "load",
@@ -68,6 +71,7 @@ __all__ = [
     "slefe_boxes",
     "slefe_table",
     "slefe_tiles",
+    "surface_distance",
     "tessellation_factors",
     "tolerance_for_budget",
     "triangle_error",

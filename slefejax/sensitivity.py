@@ -27,8 +27,8 @@ class Sensitivity:
     places    : ``(points, 3)``: vertices of the control mesh in the pose, or distinct control points of patches
     points    : ``(points, 3)``, triangles a scene unit by which the point is moved along x, y, z
     numbers   : ``(patches, du+1, dv+1)``, of a list of patches: which point each control point is; else None
-    turns     : ``(joints, 3)``, triangles a radian by which the joint turns about its own x, y, z; None without skeleton
-    shifts    : ``(joints, 3)``, triangles a unit by which it is moved along its own x, y, z; None without skeleton
+    turns     : ``(joints, 3)``, triangles a radian about the joint's own x, y, z; None without skeleton
+    shifts    : ``(joints, 3)``, triangles a unit along the joint's own x, y, z; None without skeleton
     keys      : ``(keys,)``, triangles a unit of the weight of each shape key; None without
     tolerance : triangles a factor e of the tolerance: about minus as many as there are
     distance  : triangles a factor e of the camera's distance from its target; NaN without perspective

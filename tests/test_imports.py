@@ -52,7 +52,7 @@ LAYERS = [
         "data",
     },
     {"certificate", "drawn", "factors", "widths", "curves", "minimal", "covering"},
-    {"scene", "session", "testing", "samples", "fitting", "budget", "sensitivity"},
+    {"scene", "session", "testing", "samples", "fitting", "budget", "sensitivity", "relaxing"},
 ]
 ANALYSIS = set().union(*LAYERS)
 GROUND = LAYERS[0] | LAYERS[1]
