@@ -15,6 +15,7 @@ from slefejax.experiments.factors import FactorsOfScene
 from slefejax.experiments.fit_km import FitKm
 from slefejax.experiments.inspect import Inspect
 from slefejax.experiments.minimality import Minimality
+from slefejax.experiments.optimise import Optimise
 from slefejax.experiments.scaling import Scaling
 from slefejax.experiments.sensitivity import SensitivityOfScene
 from slefejax.experiments.tightness import Tightness
@@ -28,6 +29,7 @@ Command = (
     | Annotated[FitKm, subcommand("fit-km")]
     | Annotated[BudgetOfScene, subcommand("budget")]
     | Annotated[SensitivityOfScene, subcommand("sensitivity")]
+    | Annotated[Optimise, subcommand("optimise")]
     | Annotated[ErrorTime, subcommand("error-time")]
     | Annotated[Scaling, subcommand("scaling")]
     | Annotated[Tightness, subcommand("tightness")]

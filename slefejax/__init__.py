@@ -10,12 +10,13 @@ from slefejax.bspline import bspline_slefe, bspline_slefe_boxes
 from slefejax.budget import Budget, distance_for_budget, real_triangles, tolerance_for_budget
 from slefejax.conversion.scheme import Conversion, convert
 from slefejax.curves import curve_constant
+from slefejax.deviation import edge_turns, side_turns, surface_distance
 from slefejax.errors import InputError, NoOpenGLError
 from slefejax.factors import Factors, tessellation_factors
 from slefejax.fitting import Fit, bootstrap_km, fit_km
 from slefejax.mesh import Mesh
 from slefejax.minimal import minimal_factors, minimal_pairs
-from slefejax.relaxing import Relaxed, fewer_triangles, surface_distance
+from slefejax.relaxing import Relaxed, fewer_triangles
 from slefejax.rig import Pose
 from slefejax.samples import Samples, measure_factors
 from slefejax.scene import Scene, load, save
@@ -54,6 +55,7 @@ __all__ = [
     "curve_constant",
     "distance_for_budget",
     "dual_quaternion_blend",
+    "edge_turns",
     "fewer_triangles",
     "fit_km",
     "linear_blend",
@@ -67,6 +69,7 @@ __all__ = [
     "screen_twists",
     "screen_widths",
     "sensitivity",
+    "side_turns",
     "slefe",
     "slefe_boxes",
     "slefe_table",

@@ -34,7 +34,7 @@ from slefejax.defects import check_manifold, isolated_vertices, without_defects
 from slefejax.edges import shared_edges
 from slefejax.errors import InputError
 from slefejax.framing import PAPERS_SHARE, frame_share
-from slefejax.io.bpt import read_bpt
+from slefejax.io.bpt import read_bpt, write_bpt
 from slefejax.io.bv import read_bv
 from slefejax.io.content import Z_UP, Content, Spline
 from slefejax.io.copies import with_copies
@@ -216,15 +216,23 @@ def load(
 
 
 def save(scene: Any, path: Any) -> None:
-    """Write the control mesh of a scene and its rig as a pair of files, .json and .npz, which ``load`` reads again.
+    """Write a scene to a file that ``load`` reads again.
 
-    scene : from ``load``;  path : of the .json file; the format is in docs/animation.md
-    Raises InputError for a scene without a control mesh, and for a place where nothing can be written.
+    scene : from ``load``
+    path  : ending in .json: the control mesh and its rig, as a pair of files, .json and .npz (docs/animation.md);
+            ending in .bpt: the patches, polynomial ones, as they are at rest
+
+    Raises InputError for a scene without a control mesh (.json) or with weights (.bpt), another ending, and for a place
+    where nothing can be written.
     """
     if not isinstance(scene, Scene) or not isinstance(path, (str, Path)) or not str(path):
-        raise InputError("save needs a scene and the name of a .json file")
+        raise InputError("save needs a scene and the name of a .json or .bpt file")
+    if Path(path).suffix.lower() == ".bpt":
+        if scene.control.shape[3] == 4:
+            raise InputError(f"{scene.name} has rational patches, which a .bpt file cannot hold")
+        return write_bpt(Path(path), scene.patches())
     if scene.conversion is None:
-        raise InputError(f"{scene.name} is no control mesh: only those are saved")
+        raise InputError(f"{scene.name} is no control mesh, as a .json file needs one: save the patches as .bpt")
     write_pair(Path(path), scene.conversion.mesh, scene.rig, scene.up)
 
 

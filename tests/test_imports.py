@@ -51,7 +51,7 @@ LAYERS = [
         "io",
         "data",
     },
-    {"certificate", "drawn", "factors", "widths", "curves", "minimal", "covering"},
+    {"certificate", "drawn", "factors", "widths", "curves", "deviation", "minimal", "covering"},
     {"scene", "session", "testing", "samples", "fitting", "budget", "sensitivity", "relaxing"},
 ]
 ANALYSIS = set().union(*LAYERS)

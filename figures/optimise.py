@@ -1,0 +1,73 @@
+"""Triangles of patches before and after their control points were moved, and where on the model they became fewer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import TwoSlopeNorm
+
+from slefejax.figures.style import SETTINGS, new_figure, save
+
+_STYLES = {"optimised for": ("#0072b2", "o"), "held out": ("#d55e00", "^")}
+
+
+def write_optimise(
+    path: Path,
+    seen: tuple[list[np.ndarray], list[np.ndarray]],
+    counts: dict[str, tuple[np.ndarray, np.ndarray]],
+    shape: tuple[int, ...],
+    scene: str,
+) -> None:
+    """The model on the left, patches against themselves on the right.
+
+    seen   : polygons of control nets in pixels, and the numbers of their control points, patch by patch
+    counts : by set of views, triangles ``(patches,)`` before and after, summed over the views
+    shape  : of the control points, ``(patches, du+1, dv+1, 3)``
+    """
+    with mpl.rc_context(SETTINGS):
+        figure = new_figure(14, 6)
+        left, right = figure.subplots(1, 2, width_ratios=[1.35, 1])
+        _plot_model(left, seen, counts["held out"], shape)
+        _plot_patches(right, counts)
+        figure.suptitle(f"{scene}: inner control points moved along gradients")
+        save(figure, path)
+
+
+def _plot_model(axes: Any, seen: Any, counts: tuple[np.ndarray, np.ndarray], shape: tuple[int, ...]) -> None:
+    before, after = counts
+    share = 100.0 * (after - before) / np.maximum(before, 1.0)
+    polygons, corners = seen
+    values = share[[own[0] // (shape[1] * shape[2]) for own in corners]]
+    limit = max(1.0, float(np.abs(share).max()))
+    faces = PolyCollection(
+        polygons, cmap="RdBu_r", norm=TwoSlopeNorm(0.0, -limit, limit), edgecolors="#303030", linewidths=0.25
+    )
+    faces.set_array(values)
+    axes.add_collection(faces)
+    axes.autoscale_view()
+    axes.set_aspect("equal")
+    axes.grid(False)
+    axes.set_xlabel("x (pixels)")
+    axes.set_ylabel("y (pixels)")
+    axes.set_title("moved control nets")
+    axes.figure.colorbar(faces, ax=axes, shrink=0.8, label="change of triangles in views held out (%)")
+
+
+def _plot_patches(axes: Any, counts: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
+    for name, (before, after) in counts.items():
+        colour, mark = _STYLES[name]
+        drawn = before > 0
+        fewer = 100.0 * (1.0 - after.sum() / max(before.sum(), 1.0))
+        label = f"views {name}: {fewer:.1f} % fewer in all"
+        change = 100.0 * (after[drawn] / before[drawn] - 1.0)
+        axes.plot(before[drawn], change, mark, color=colour, ms=6, alpha=0.8, label=label)
+    axes.axhline(0.0, color="black", lw=0.8)
+    axes.set_xscale("log")
+    axes.set_xlabel("triangles of a patch before, all views of a kind")
+    axes.set_ylabel("change (%)")
+    axes.set_title("a mark is a patch")
+    axes.legend(fontsize=10)

@@ -1,0 +1,146 @@
+"""How far patches have come from other ones: distances of surfaces, turns of their tangent planes."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from slefejax.arguments import Patches, check_patches
+from slefejax.bezier import evaluate_patch
+from slefejax.errors import InputError
+
+_PLACES = 33  # along each side
+_NEAREST = 8  # steps towards the nearest point
+_FLAT = 1e-9  # sine of an angle between tangents: below, there is no tangent plane
+
+
+def surface_distance(patches: Patches, given: Patches, places: int = _PLACES) -> Float[np.ndarray, "patches"]:
+    """How far each patch lies from the one of the same number that was given: the largest over a grid of places.
+
+    From every point of the grid on the patch Newton's method looks for the nearest point of the other, beginning at the
+    same parameters; what it finds is no nearer than the nearest there is, so distances are not understated at the
+    places themselves. Polynomial patches; scene units.
+    """
+    patches, given = _alike(patches, given)
+    return np.sqrt(np.max(np.asarray(_distances_jit(patches, given, places, _NEAREST)), axis=1))
+
+
+def side_turns(patches: Patches, given: Patches, places: int = _PLACES) -> Float[np.ndarray, "patches"]:
+    """By how many degrees the tangent plane of a patch turned from the given one, at equal parameters on its sides.
+
+    The largest over places along the four sides, but corners and where either has no tangent plane. Two neighbours
+    that are smooth across their edge turn against each other by at most the sum of both. Polynomial patches.
+    """
+    patches, given = _alike(patches, given)
+    sines = np.asarray(_turns_jit(patches, given, places))
+    return np.degrees(np.arcsin(np.sqrt(np.minimum(np.max(sines, axis=1), 1.0))))
+
+
+def edge_turns(patches: Patches, edge_numbers: Int[np.ndarray, "patches 4"]) -> Float[np.ndarray, "shared"]:
+    """Angles, in degrees, by which the tangent plane turns from a patch to its neighbour: the largest along each edge.
+
+    patches      : polynomial;  edge_numbers : from ``slefejax.edges.shared_edges``
+
+    Of edges that exactly two patches share; corners are left out, and places where a patch has no tangent plane.
+    """
+    control = jnp.asarray(check_patches(patches, dims=(3,)))
+    sides = [_points_and_normals(control, u, v) for u, v in _sides(_PLACES)]
+    points, normals = (np.moveaxis(np.asarray([side[k] for side in sides]), 1, -1) for k in (0, 1))
+    by_number: dict[int, list[tuple[int, int]]] = {}
+    for (patch, side), number in np.ndenumerate(edge_numbers):
+        by_number.setdefault(int(number), []).append((side, patch))
+    turns = [_turn(points, normals, *pair) for pair in by_number.values() if len(pair) == 2]
+    return np.array(turns, np.float64)
+
+
+def distance_squares(patches: Any, given: Any, places: int, steps: int) -> Any:
+    """Squares of distances ``(patches, places^2)`` between points of patches and the nearest ones of those given.
+
+    Differentiable; steps : towards the nearest point, from the same parameters
+    """
+    t = np.linspace(0.0, 1.0, places)
+    u, v = (x.ravel().astype(patches.dtype) for x in np.meshgrid(t, t, indexing="ij"))
+    point = _surface(patches, u, v)
+    u, v = (jnp.broadcast_to(x, point.shape[1:]) for x in (u, v))
+    for _ in range(steps):
+        u, v = _nearer(given, point, u, v)
+    return jnp.sum((point - _surface(given, u, v)) ** 2, axis=0)
+
+
+def turn_squares(patches: Any, given: Any, places: int) -> Any:
+    """Squares of sines ``(patches, 4 places)`` of the angles of ``side_turns``; 0 where there is no tangent plane.
+
+    Differentiable.
+    """
+    found = []
+    for u, v in _sides(places):
+        (_, n), (_, m) = _points_and_normals(patches, u, v), _points_and_normals(given, u, v)
+        found.append(jnp.sum(jnp.cross(n, m, axis=0) ** 2, axis=0))
+    return jnp.concatenate(found, axis=-1)
+
+
+_distances_jit = partial(jax.jit, static_argnums=(2, 3))(distance_squares)
+_turns_jit = partial(jax.jit, static_argnums=2)(turn_squares)
+
+
+def _alike(patches: Any, given: Any) -> tuple[Any, Any]:
+    patches, given = check_patches(patches, dims=(3,)), check_patches(given, dims=(3,))
+    if patches.shape[0] != given.shape[0]:
+        raise InputError(f"there are {patches.shape[0]} patches and {given.shape[0]} to compare them with")
+    return jnp.asarray(patches), jnp.asarray(given)
+
+
+def _sides(places: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Parameters (u, v) of places inside of the four sides, in OpenGL's order."""
+    t = (np.arange(places) + 0.5) / places
+    zero, one = np.zeros(places), np.ones(places)
+    return [(zero, t), (t, zero), (one, t), (t, one)]
+
+
+def _points_and_normals(control: Any, u: Any, v: Any) -> tuple[Any, Any]:
+    """Points and unit normals ``(3, patches, places)``; normals 0 where there is no tangent plane."""
+    u, v = jnp.asarray(u, control.dtype), jnp.asarray(v, control.dtype)
+    point, along_u, along_v = _derivatives(control, u, v)
+    normal = jnp.cross(along_u, along_v, axis=0)
+    square = jnp.sum(normal**2, axis=0)
+    plane = square > _FLAT**2 * jnp.sum(along_u**2, axis=0) * jnp.sum(along_v**2, axis=0)
+    return point, jnp.where(plane, normal / jnp.sqrt(jnp.where(plane, square, 1.0)), 0.0)
+
+
+def _turn(points: np.ndarray, normals: np.ndarray, one: tuple[int, int], other: tuple[int, int]) -> float:
+    """The largest angle along an edge that two patches share, whichever way each runs along it."""
+    there, back = (np.abs(points[one] - points[other][::step]).max() for step in (1, -1))
+    n, m = normals[one], normals[other][:: 1 if there <= back else -1]
+    angle = np.arctan2(np.linalg.norm(np.cross(n, m), axis=-1), np.abs(np.sum(n * m, axis=-1)))
+    return float(np.degrees(angle.max()))
+
+
+def _nearer(given: Any, point: Any, u: Any, v: Any) -> tuple[Any, Any]:
+    """A Gauss-Newton step of the parameters towards the foot of the perpendicular; none where tangents are parallel."""
+    here, along_u, along_v = _derivatives(given, u, v)
+    left = point - here
+    a, b, c = (jnp.sum(p * q, axis=0) for p, q in ((along_u, along_u), (along_u, along_v), (along_v, along_v)))
+    x, y = jnp.sum(along_u * left, axis=0), jnp.sum(along_v * left, axis=0)
+    determinant = a * c - b * b
+    steep = determinant > 1e-9 * a * c
+    safe = jnp.where(steep, determinant, 1.0)
+    step_u, step_v = jnp.where(steep, (c * x - b * y) / safe, 0.0), jnp.where(steep, (a * y - b * x) / safe, 0.0)
+    return jnp.clip(u + step_u, 0.0, 1.0), jnp.clip(v + step_v, 0.0, 1.0)
+
+
+def _derivatives(control: Any, u: Any, v: Any) -> tuple[Any, Any, Any]:
+    """Points and both first derivatives, each ``(3, patches, places)``."""
+    ones = jnp.ones_like(u)
+    point, along_u = jax.jvp(lambda t: _surface(control, t, v), (u,), (ones,))
+    _, along_v = jax.jvp(lambda t: _surface(control, u, t), (v,), (ones,))
+    return point, along_u, along_v
+
+
+def _surface(control: Any, u: Any, v: Any) -> Any:
+    """Points ``(3, patches, places)``."""
+    return evaluate_patch(jnp.moveaxis(control, 0, -1)[..., None], u, v)
