@@ -65,13 +65,9 @@ def _rows(scene: Scene, found: Sensitivity, radius: float) -> list[Row]:
         rows.append(_row(found, "camera distance", "", "1 % more", 0.01 * found.distance))
     what = "vertex" if found.numbers is None else "control point"
     rows += _largest(found, what, [str(k) for k in range(len(found.points))], "1 % of the radius", step * found.points)
-    if (
-        found.turns is not None
-        and found.shifts is not None
-        and scene.rig is not None
-        and scene.rig.skeleton is not None
-    ):
-        names = list(scene.rig.skeleton.names)
+    skeleton = None if scene.rig is None else scene.rig.skeleton
+    if skeleton is not None and found.turns is not None and found.shifts is not None:
+        names = list(skeleton.names)
         rows += _largest(found, "bone", names, "turned by 1 degree", _DEGREE * found.turns)
         rows += _largest(found, "bone", names, "moved by 1 % of the radius", step * found.shifts)
     if found.keys is not None and scene.rig is not None and scene.rig.keys is not None:

@@ -12,8 +12,8 @@ from matplotlib.colors import LogNorm
 
 from slefejax.figures.style import SETTINGS, new_figure, save
 
-_KIND_COLOURS = {"bone": "#0072b2", "shape key": "#e69f00", "vertex": "#009e73", "control point": "#009e73"}
-_DECADES = 3.0  # that are told apart below the largest value
+_COLOURS = ("#009e73", "#0072b2", "#56b4e9", "#e69f00")  # of kinds, in the order of the table
+_DECADES = 2.0  # that are told apart below the largest value
 _BARS = 8  # of a kind
 
 
@@ -55,10 +55,9 @@ def _plot_mesh(axes: Any, polygons: list[np.ndarray], values: np.ndarray, what: 
 
 def _plot_bars(axes: Any, bars: list[dict[str, Any]], kinds: list[tuple[str, str]]) -> None:
     at, ticks, names = 0.0, [], []
-    for kind, change in kinds:
+    for (kind, change), colour in zip(kinds, _COLOURS, strict=False):
         own = [row for row in bars if (row["kind"], row["change"]) == (kind, change)][:_BARS]
         places = at + np.arange(len(own))
-        colour = _KIND_COLOURS.get(kind, "#777777")
         axes.barh(places, [row["triangles_more"] for row in own], color=colour, label=f"{kind}: {change}")
         ticks += places.tolist()
         names += [row["name"] for row in own]
@@ -69,4 +68,4 @@ def _plot_bars(axes: Any, bars: list[dict[str, Any]], kinds: list[tuple[str, str
     axes.axvline(0.0, color="black", lw=0.8)
     axes.set_xlabel("triangles more (first order)")
     axes.set_title("the largest of each kind")
-    axes.legend(fontsize=10, loc="lower right")
+    axes.legend(fontsize=10, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2, frameon=False)
