@@ -15,8 +15,9 @@ import numpy as np
 from jax.lax import select
 from jaxtyping import Array, Float
 
+from slefejax.bezier import bernstein
 from slefejax.maxima import extent, larger, largest, largest_along, smaller
-from slefejax.slefe import enclose_at, enclose_patch
+from slefejax.slefe import SECOND, Smooth, enclose_at, enclose_patch
 from slefejax.view import View
 
 Grid = Float[Array, "bu bv lanes"]
@@ -201,12 +202,29 @@ def rational_widths(
     the near plane.
     """
     screen = jnp.stack([sum(row[a] * control[:, :, a] for a in range(4)) for row in projection.to_pixels], axis=2)
-    lower, upper = enclose_patch(screen, segments, smooth)
-    middle = 0.5 * (lower + upper)
-    w = larger(middle[:, :, 3], jnp.full_like(middle[:, :, 3], projection.near_w))[:, :, None]
+    u, v = (np.arange(m + 1) / m for m in segments)
+    basis_u, basis_v = (
+        jnp.asarray(np.stack(bernstein(degree, t)), screen.dtype)
+        for degree, t in ((screen.shape[0] - 1, u), (screen.shape[1] - 1, v))
+    )
+    point = jnp.einsum("ik,jl,ijcp->klcp", basis_u, basis_v, screen, precision="highest")
+    w = larger(point[:, :, 3], jnp.full_like(point[:, :, 3], projection.near_w))[:, :, None]
     rows = 3 if with_depth else 2
-    g = screen[:, :, None, None, :rows] - (middle[:, :, :rows] / w) * screen[:, :, None, None, 3:]
-    across = enclose_at(jnp.transpose(g, (1, 3, 0, 2, 4, 5)), segments[1], smooth)
-    low, high = (enclose_at(jnp.transpose(bound, (1, 2, 0, 3, 4)), segments[0], smooth) for bound in across)
-    sides = (high[1] - low[0]) / w
+    g = screen[:, :, None, None, :rows] - (point[:, :, :rows] / w) * screen[:, :, None, None, 3:]
+    low, high = _enclose_at_breakpoints(g, segments, smooth)
+    sides = (high - low) / w
     return largest([sides[:, :, 0], sides[:, :, 1]], smooth), sides[:, :, 2] if with_depth else None
+
+
+def _enclose_at_breakpoints(
+    g: Float[Array, "nu nv bu bv rows lanes"], segments: tuple[int, int], temperature: Any
+) -> tuple[Any, Any]:
+    """Lower and upper ends ``(bu, bv, rows, lanes)``, at every breakpoint of its own coefficients."""
+    by_v, across, along = jnp.transpose(g, (1, 3, 0, 2, 4, 5)), None, None
+    if temperature is not None:
+        across = Smooth(temperature, (1,))
+        wider = SECOND * across.blur(by_v, segments[1])[:, 0]
+        along = Smooth(temperature, (1,), jnp.swapaxes(wider, 0, 1))
+    bounds = enclose_at(by_v, segments[1], across)
+    low, high = (enclose_at(jnp.transpose(bound, (1, 2, 0, 3, 4)), segments[0], along) for bound in bounds)
+    return low[0], high[1]

@@ -45,12 +45,24 @@ def largest_along(values: Any, axis: tuple[int, ...], temperature: Any) -> Any:
     return _soft(whole, jnp.sum(powers, axis=axis), temperature)
 
 
-def sizes(values: list[Any], temperature: Any) -> list[Any]:
-    """A smooth stand-in for the size of each of some numbers, at least that: T of the length of all is added."""
-    unit = _unit(reduce(larger, [jnp.abs(value) for value in values]))
-    parts = [(value / unit) ** 2 for value in values]
-    added = temperature**2 * sum(parts)
-    return [unit * root(part + added) for part in parts]
+def blur(values: list[Any], temperature: Any, alike: tuple[int, ...] = ()) -> Any:
+    """T times the length of all values, or of their mean along axes whose numbers are alike; these get length 1."""
+    unit = _unit(jnp.max(reduce(larger, [jnp.abs(value) for value in values]), axis=alike, keepdims=True))
+    square = jnp.mean(sum((value / unit) ** 2 for value in values), axis=alike, keepdims=True)
+    return unit * temperature * root(square)
+
+
+def sizes(values: list[Any], temperature: Any, alike: tuple[int, ...] = ()) -> list[Any]:
+    """Smooth stand-ins for the sizes of numbers, at least these and at most ``blur`` larger.
+
+    They have no derivative only where all of the numbers are 0, along the axes that are alike too: it is 0 then.
+    """
+    added = blur(values, temperature, alike)
+    found = []
+    for value in values:
+        unit = _unit(larger(jnp.abs(value), jnp.broadcast_to(added, value.shape)))
+        found.append(unit * root((value / unit) ** 2 + (added / unit) ** 2))
+    return found
 
 
 def extent(values: list[Any], temperature: Any) -> Any:

@@ -31,10 +31,13 @@ from slefejax.arguments import (
 )
 from slefejax.bezier import second_differences
 from slefejax.errors import InputError
-from slefejax.maxima import larger, sizes
+from slefejax.maxima import blur, larger, sizes
 from slefejax.slefe_tables import build_table
 
 HIGHEST_DEGREE = 64
+# Bounds in v that are b wider, or less, have second differences in u that are up to 2 b larger or smaller; with twice
+# that added to their sizes the smooth bounds in u are nowhere narrower than exact ones of exact ones.
+SECOND = 4.0
 
 
 class SlefeTable(NamedTuple):
@@ -125,17 +128,44 @@ def slefe_boxes(patches: Patches, segments: Segments) -> Slefe:
     return Slefe(layout.unpack(lower, len(patches)), layout.unpack(upper, len(patches)))
 
 
-def enclose(coefficients: Float[Array, "n *rest"], segments: int, temperature: Any = None) -> tuple[Any, Any]:
+class Smooth(NamedTuple):
+    """How an enclosure is smooth: the sizes of second differences are smooth ones, which makes it that much wider.
+
+    temperature : of ``slefejax.maxima``
+    alike       : axes of the second differences ``(b, *rest)`` whose numbers have one unit
+    wider       : what is added to the sizes besides
+    """
+
+    temperature: Any
+    alike: tuple[int, ...] = ()
+    wider: Any = 0.0
+
+    def positive_parts(self, differences: list[Any]) -> list[Any]:
+        """Smooth max(0, D_j), not smaller."""
+        smooth = sizes(differences, self.temperature, self.alike)
+        return [0.5 * (size + self.wider + d) for size, d in zip(smooth, differences, strict=True)]
+
+    def blur(self, coefficients: Float[Array, "n b *rest"], segments: int) -> Any:
+        """The most by which the bounds ``(m+1, *rest)`` are wider, with length 1 along axes that are alike."""
+        degree = coefficients.shape[0] - 1
+        if degree == 1:
+            return jnp.zeros((1, 1), coefficients.dtype)
+        tables = _as_dtype(slefe_table(degree, segments), coefficients.dtype)
+        column = (slice(None),) + (None,) * (coefficients.ndim - 2)
+        gaps = np.sum(tables.upper - tables.lower, axis=0)[column]
+        return 0.5 * gaps * blur(list(second_differences(coefficients)), self.temperature, self.alike)
+
+
+def enclose(coefficients: Float[Array, "n *rest"], segments: int, smooth: Smooth | None = None) -> tuple[Any, Any]:
     """Lower and upper breakpoint values along the first axis, for use inside kernels."""
-    return enclose_at(coefficients[:, None], segments, temperature)
+    return enclose_at(coefficients[:, None], segments, smooth)
 
 
-def enclose_at(coefficients: Float[Array, "n b *rest"], segments: int, temperature: Any = None) -> tuple[Any, Any]:
+def enclose_at(coefficients: Float[Array, "n b *rest"], segments: int, smooth: Smooth | None = None) -> tuple[Any, Any]:
     """Breakpoint values ``(m+1, *rest)``, breakpoint k from the coefficients ``[:, k]`` (2012, eq 2).
 
     upper = l + sum_j max(0, D_j) a_up_j + min(0, D_j) a_low_j; lower with max and min exchanged.
-    Every breakpoint has coefficients of its own, or, where b is 1, all have the same. With a temperature the sizes of
-    the D_j are smooth ones (``slefejax.maxima``), and the enclosure is that much wider.
+    Every breakpoint has coefficients of its own, or, where b is 1, all have the same.
     """
     column = (slice(None),) + (None,) * (coefficients.ndim - 2)
     t = (np.arange(segments + 1) / segments).astype(coefficients.dtype)[column]
@@ -145,11 +175,10 @@ def enclose_at(coefficients: Float[Array, "n b *rest"], segments: int, temperatu
         return lower, upper
     tables = _as_dtype(slefe_table(degree, segments), coefficients.dtype)
     differences = list(second_differences(coefficients))
-    smooth = differences if temperature is None else sizes(differences, temperature)
-    for difference, size, low, up in zip(differences, smooth, tables.lower, tables.upper, strict=True):
-        # ``larger`` does not propagate NaN: inputs are checked apart
-        exact = temperature is None
-        positive = larger(difference, jnp.zeros_like(difference)) if exact else 0.5 * (size + difference)
+    # ``larger`` does not propagate NaN: inputs are checked apart
+    exact = (larger(difference, jnp.zeros_like(difference)) for difference in differences)
+    positives = exact if smooth is None else smooth.positive_parts(differences)
+    for difference, positive, low, up in zip(differences, positives, tables.lower, tables.upper, strict=True):
         negative = difference - positive
         upper = upper + (positive * up[column] + negative * low[column])
         lower = lower + (positive * low[column] + negative * up[column])
@@ -159,10 +188,20 @@ def enclose_at(coefficients: Float[Array, "n b *rest"], segments: int, temperatu
 def enclose_patch(
     control: Float[Array, "nu nv *rest"], segments: tuple[int, int], temperature: Any = None
 ) -> tuple[Any, Any]:
-    """Tensor-product enclosure ``(m_u+1, m_v+1, *rest)``: bounds in v, then lower of lower and upper of upper in u."""
-    across_lower, across_upper = enclose(jnp.swapaxes(control, 0, 1), segments[1], temperature)
-    lower, _ = enclose(jnp.swapaxes(across_lower, 0, 1), segments[0], temperature)
-    _, upper = enclose(jnp.swapaxes(across_upper, 0, 1), segments[0], temperature)
+    """Tensor-product enclosure ``(m_u+1, m_v+1, *rest)``: bounds in v, then lower of lower and upper of upper in u.
+
+    With a temperature a smooth one, nowhere narrower.
+    """
+    if temperature is None:
+        across, along = None, None
+    else:
+        # rows of the net, and coordinates but homogeneous ones, are alike
+        across = Smooth(temperature, (1, 2) if control.shape[2:3] == (3,) else (1,))
+        wider = SECOND * across.blur(jnp.swapaxes(control, 0, 1)[:, None], segments[1])
+        along = Smooth(temperature, across.alike, jnp.swapaxes(wider, 0, 1))
+    across_lower, across_upper = enclose(jnp.swapaxes(control, 0, 1), segments[1], across)
+    lower, _ = enclose(jnp.swapaxes(across_lower, 0, 1), segments[0], along)
+    _, upper = enclose(jnp.swapaxes(across_upper, 0, 1), segments[0], along)
     return lower, upper
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from slefejax import Camera, InputError, View, slefe, slefe_table, tessellation_factors
 from slefejax import factors as factors_module
+from slefejax.bezier import evaluate_patch
 
 slefe_factors = partial(tessellation_factors, method="slefe")
 
@@ -300,16 +301,12 @@ def test_rational_widths_by_loops(rng):
     screen = patch @ (np.diag([160, 120, 0.5, 1]) @ view.world_to_clip).T
     widths = []
     for i, j in product(range(4), range(4)):
-        parts = []
-        for c in range(4):
-            across = slefe(screen[..., c], 3, axis=1)
-            parts.append([slefe(b[:, j], 3) for b in (np.asarray(across.lower), np.asarray(across.upper))])
-        middle = [0.5 * (float(low.lower[i]) + float(high.upper[i])) for low, high in parts]
+        point = evaluate_patch(screen, i / 3, j / 3)
         for c in (0, 1):
-            across = slefe(screen[..., c] - middle[c] / middle[3] * screen[..., 3], 3, axis=1)
+            across = slefe(screen[..., c] - point[c] / point[3] * screen[..., 3], 3, axis=1)
             low = slefe(np.asarray(across.lower)[:, j], 3).lower[i]
             high = slefe(np.asarray(across.upper)[:, j], 3).upper[i]
-            widths.append(float(high - low) / middle[3])
+            widths.append(float(high - low) / point[3])
     found = float(slefe_factors(patch[None], view, tolerance=0.5).factor[0])
     assert found == pytest.approx(3 * np.sqrt(max(widths) / 0.5), rel=1e-9)
 
