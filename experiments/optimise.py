@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
@@ -23,14 +22,15 @@ from slefejax.experiments.options import (
 )
 from slefejax.experiments.outlines import outlines
 from slefejax.experiments.report import Report, progress
-from slefejax.experiments.store import Row, Run, write_csv
+from slefejax.experiments.store import Row, Run, digest, write_csv
 from slefejax.figures.optimise import write_optimise
-from slefejax.relaxing import Relaxed
+from slefejax.relaxing import Descent, Relaxed
 from slefejax.tessellator import triangle_counts
 from slefejax.view import bounding_sphere, homogeneous
 
 _FINE = 65  # places along each side where the distance is measured at last
 _LISTED = 10
+_KEPT = 10  # steps after which what was reached is written down
 
 
 @dataclass(frozen=True)
@@ -63,13 +63,11 @@ class Optimise:
         scene = self.loading.load(self.scene)
         _, radius = bounding_sphere(scene.points())
         views = cameras_around(scene, *parse_size(self.size), self.cameras, self.seed)
+        inputs = {"patches": digest(scene.patches().tobytes())}
         options, allowed = self.prediction.arguments(), self.within * radius
-        with Run("optimise", {**asdict(self), "output": None}, self.output.out, {"process": os.getpid()}) as run:
+        with Run("optimise", {**asdict(self), "output": None}, self.output.out, inputs) as run:
             start = time.perf_counter()
-            with progress("moving control points", 2) as show:
-                found = fewer_triangles(
-                    scene.patches(), views[::2], allowed, self.turn, steps=self.solver_steps, progress=show, **options
-                )
+            found = self._move(run, scene, views[::2], allowed, options)
             seconds = time.perf_counter() - start
             changed = replace(scene, control=found.patches)
             sets = {"optimised for": views[::2], "held out": views[1::2]}
@@ -88,9 +86,40 @@ class Optimise:
         notes = (*scene.notes, *([f"The solver stopped early: {found.reason}."] if found.reason else []))
         title = f"{scene.name}: triangles before and after, the surface within {self.within:.3g} of the radius"
         best = sorted(patches, key=lambda row: row["held_out_after"] - row["held_out_before"])[:_LISTED]
-        more = {"surface": surface, "patches": patches, "solver_steps": found.steps, "seconds": seconds}
+        more = {"surface": surface, "patches": patches, "seconds": seconds}
         below = (("the surface", [surface]), ("patches that save the most in views that were held out", best))
         return Report(scene.name, out, rows, title, notes, more, self.output.json, more=below)
+
+    def _move(self, run: Run, scene: Scene, views: list[View], allowed: float, options: dict[str, Any]) -> Relaxed:
+        """From where a run that was stopped had got."""
+        kept, start = run.file("so_far.npz"), None
+        if kept.exists():
+            with np.load(kept) as file:
+                memory = tuple(file[f"memory_{k}"] for k in range(len(file.files) - 3))
+                start = Descent(file["offsets"], int(file["weight"]), int(file["steps"]), memory)
+        with progress("moving control points", 100) as show:
+
+            def keep(at: Descent) -> None:
+                if at.steps % _KEPT == 0:
+                    numbers = {"offsets": at.offsets, "weight": at.weight, "steps": at.steps}
+                    memory = {f"memory_{k}": array for k, array in enumerate(at.memory)}
+                    with (part := run.file("part.npz")).open("wb") as file:
+                        np.savez(file, allow_pickle=False, **numbers, **memory)
+                    part.replace(kept)
+                show(round(100 * at.share(self.solver_steps)))
+
+            found = fewer_triangles(
+                scene.patches(),
+                views,
+                allowed,
+                self.turn,
+                steps=self.solver_steps,
+                start=start,
+                progress=keep,
+                **options,
+            )
+        kept.unlink(missing_ok=True)
+        return found
 
 
 def _counts(scene: Scene, views: list[View], options: dict[str, Any]) -> np.ndarray:

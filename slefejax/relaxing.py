@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -39,15 +40,32 @@ class Relaxed(NamedTuple):
                 scene units, at places of a fine grid
     turn      : ``(patches,)``, degrees, the largest turn of the tangent plane along the sides
     moved     : ``(patches,)``, whether anything of the patch was moved
-    steps     : of the solver;  reason : why it ended before it had converged, if it did
+    reason    : why the solver ended before it had converged, if it did
     """
 
     patches: Float[np.ndarray, "patches nu nv 3"]
     distance: Float[np.ndarray, "patches"]
     turn: Float[np.ndarray, "patches"]
     moved: Any
-    steps: int
     reason: str
+
+
+class Descent(NamedTuple):
+    """How far moving has got, to go on from there.
+
+    offsets : of the inner control points, ``(patches, du-1, dv-1, 3)``, over the allowed distance
+    weight  : which of the weights of the limits is at work, counted from 0;  steps : taken with it
+    memory  : arrays of the solver
+    """
+
+    offsets: Any
+    weight: int
+    steps: int
+    memory: tuple[Any, ...]
+
+    def share(self, steps: int) -> float:
+        """Of the work, if so many steps are allowed."""
+        return (self.weight + min(1.0, self.steps / steps)) / len(_WEIGHTS)
 
 
 def fewer_triangles(
@@ -57,7 +75,8 @@ def fewer_triangles(
     turn: Number = 1.0,
     *,
     steps: int = 200,
-    progress: Callable[[int], None] | None = None,
+    start: Descent | None = None,
+    progress: Callable[[Descent], None] | None = None,
     **options: Any,
 ) -> Relaxed:
     """Move inner control points so that the triangles of all views become fewer, and the surface hardly changes.
@@ -67,7 +86,8 @@ def fewer_triangles(
     within  : the largest distance from the given surface, in scene units
     turn    : the largest angle, in degrees, between the tangent planes of a patch before and after, along its sides: by
               twice that neighbours that were smooth may meet at an angle
-    steps   : of the solver (L-BFGS) for each of its two weights;  progress : hears how many weights are done
+    steps   : of the solver (L-BFGS) for each of its two weights of the limits
+    start, progress : ``progress`` hears after each step how far it has got, and from there ``start`` goes on
     options : those of ``tessellation_factors`` but ``anisotropic``, ``verify`` and ``smooth``
 
     A patch that ends too far away, or turned too much, goes back on a straight line as far as it must, and all the way
@@ -88,12 +108,15 @@ def fewer_triangles(
             raise InputError(f"{name} has no meaning here: factors are real, and smooth while points move")
     given, limits = jnp.asarray(patches), _Limits(float(within), float(turn))
     before = _per_patch(given, views, options)
-    offsets, count, reason = _descend(given, views, limits, steps, progress, options)
+    nu, nv = patches.shape[1:3]
+    start = start or Descent(np.zeros((len(patches), nu - 2, nv - 2, 3)), 0, 0, ())
+    at, reason = _descend(given, views, limits, steps, start, progress, options)
+    offsets = limits.distance * jnp.asarray(at.offsets, given.dtype)
     share = _feasible_share(given, offsets, limits)
     found = _shifted(given, offsets * share[:, None, None, None])
     better = _per_patch(found, views, options) < before * (1.0 - 1e-9)
     found = jnp.where(jnp.asarray(better)[:, None, None, None], found, given)
-    return Relaxed(np.asarray(found), surface_distance(found, given), side_turns(found, given), better, count, reason)
+    return Relaxed(np.asarray(found), surface_distance(found, given), side_turns(found, given), better, reason)
 
 
 class _Limits(NamedTuple):
@@ -115,36 +138,69 @@ class _Limits(NamedTuple):
 
 
 def _descend(
-    given: Any, views: Sequence[View], limits: _Limits, steps: int, progress: Any, options: dict[str, Any]
-) -> tuple[Any, int, str]:
+    given: Any, views: Sequence[View], limits: _Limits, steps: int, at: Descent, progress: Any, options: dict[str, Any]
+) -> tuple[Descent, str]:
+    """Step by step, one weight of the limits after the other: where that ended, and why if it had not converged."""
+    begin, step = _solver(_objective(given, views, limits, options), given.dtype)
+    reason = ""
+    while at.weight < len(_WEIGHTS):
+        offsets, memory = jnp.asarray(at.offsets, given.dtype), begin(jnp.asarray(at.offsets, given.dtype))
+        if at.memory:
+            memory = jax.tree.unflatten(jax.tree.structure(memory), at.memory)
+        taken, converged = at.steps, False
+        while taken < steps and not converged:
+            offsets, memory, converged = step(offsets, memory, (given, jnp.asarray(_WEIGHTS[at.weight], given.dtype)))
+            if not np.isfinite(np.asarray(offsets)).all():
+                return at, "the solver met a number that is not finite"
+            taken += 1
+            at = Descent(np.asarray(offsets), at.weight, taken, tuple(jax.tree.leaves(memory)))
+            if progress is not None:
+                progress(at)
+        reason = "" if converged else f"{steps} steps were not enough to converge"
+        at = Descent(at.offsets, at.weight + 1, 0, ())
+    return at, reason
+
+
+def _objective(given: Any, views: Sequence[View], limits: _Limits, options: dict[str, Any]) -> Callable[..., Any]:
+    """Triangles over those of the given patches, and what is beyond the limits, of offsets over the distance."""
     start = float(np.sum(_per_patch(given, views, options))) or 1.0
     # side by side, so that the chain from control points to factors is compiled once
     width, height = views[0].width, views[0].height
     cameras = jax.tree.map(lambda *numbers: jnp.stack([jnp.asarray(x) for x in numbers]), *(v.camera for v in views))
 
-    def objective(offsets: Any, arguments: tuple[Any, Any]) -> Any:
+    def objective(offsets: Any, arguments: tuple[Any, Any]) -> tuple[Any, None]:
         given, weight = arguments
         patches = _shifted(given, limits.distance * offsets)
         counts = jax.lax.map(
             lambda camera: real_triangles(patches, View(camera, width, height), smooth=_SMOOTH, **options), cameras
         )
-        return jnp.sum(counts) / start + weight * limits.excess(patches, given) / len(given)
+        return jnp.sum(counts) / start + weight * limits.excess(patches, given) / len(given), None
 
-    nu, nv = given.shape[1:3]
-    offsets = jnp.zeros((len(given), nu - 2, nv - 2, 3), given.dtype)
-    count, reason = 0, ""
-    for number, weight in enumerate(_WEIGHTS):
-        solver = optx.LBFGS(rtol=_CLOSE, atol=_CLOSE)
-        found = optx.minimise(
-            objective, solver, offsets, args=(given, jnp.asarray(weight)), max_steps=steps, throw=False
-        )
-        if not np.isfinite(np.asarray(found.value)).all():
-            return limits.distance * offsets, count, "the solver met a number that is not finite"
-        offsets, count = found.value, count + int(found.stats["num_steps"])
-        reason = "" if bool(found.result == optx.RESULTS.successful) else f"{steps} steps were not enough to converge"
-        if progress is not None:
-            progress(number + 1)
-    return limits.distance * offsets, count, reason
+    return objective
+
+
+def _solver(objective: Callable[..., Any], dtype: Any) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """L-BFGS a step at a time: what makes its memory, and a step from (offsets, memory, arguments) to those and an end.
+
+    ``optimistix.minimise`` takes all steps in one call, which cannot be stopped, and tells nobody how far it is.
+    """
+    solver, tags = optx.LBFGS(rtol=_CLOSE, atol=_CLOSE), frozenset()
+    static: list[Any] = []
+
+    def begin(offsets: Any) -> Any:
+        state = solver.init(objective, offsets, None, {}, jax.ShapeDtypeStruct((), dtype), None, tags)
+        memory, rest = eqx.partition(state, eqx.is_array)
+        static[:] = [rest]
+        return memory
+
+    @jax.jit
+    def step(offsets: Any, memory: Any, arguments: tuple[Any, Any]) -> tuple[Any, Any, Any]:
+        state = eqx.combine(static[0], memory)
+        found, state, _ = solver.step(objective, offsets, arguments, {}, state, tags)
+        over, _ = solver.terminate(objective, found, arguments, {}, state, tags)
+        return found, eqx.filter(state, eqx.is_array), over
+
+    return begin, step
 
 
 def _shifted(given: Any, offsets: Any) -> Any:
