@@ -203,7 +203,7 @@ def _climb(
                 raise InputError(f"{wanted:,} triangles are too few: with one piece a patch there are {count:,}")
         else:
             high = log
-            if best is None or count > best[0]:
+            if best is None or count >= best[0]:
                 best = count, log, found
             if best[0] >= (1.0 - WITHIN) * wanted or log < start - _REACH:
                 break

@@ -15,7 +15,7 @@ from slefejax.bezier import evaluate_patch
 from slefejax.errors import InputError
 
 _PLACES = 33  # along each side
-_NEAREST = 8  # steps towards the nearest point
+_NEAREST = 16  # steps towards the nearest point
 _FLAT = 1e-9  # sine of an angle between tangents: below, there is no tangent plane
 
 
@@ -67,9 +67,15 @@ def distance_squares(patches: Any, given: Any, places: int, steps: int) -> Any:
     u, v = (x.ravel().astype(patches.dtype) for x in np.meshgrid(t, t, indexing="ij"))
     point = _surface(patches, u, v)
     u, v = (jnp.broadcast_to(x, point.shape[1:]) for x in (u, v))
+    square, share = jnp.sum((point - _surface(given, u, v)) ** 2, axis=0), jnp.ones_like(u)
     for _ in range(steps):
-        u, v = _nearer(given, point, u, v)
-    return jnp.sum((point - _surface(given, u, v)) ** 2, axis=0)
+        step_u, step_v = _step(given, point, u, v)
+        there = jnp.clip(u + share * step_u, 0.0, 1.0), jnp.clip(v + share * step_v, 0.0, 1.0)
+        found = jnp.sum((point - _surface(given, *there)) ** 2, axis=0)
+        nearer = found < square
+        u, v, square = (jnp.where(nearer, new, old) for new, old in zip((*there, found), (u, v, square), strict=True))
+        share = jnp.where(nearer, 1.0, 0.25 * share)
+    return square
 
 
 def turn_squares(patches: Any, given: Any, places: int) -> Any:
@@ -120,17 +126,25 @@ def _turn(points: np.ndarray, normals: np.ndarray, one: tuple[int, int], other: 
     return float(np.degrees(angle.max()))
 
 
-def _nearer(given: Any, point: Any, u: Any, v: Any) -> tuple[Any, Any]:
-    """A Gauss-Newton step of the parameters towards the foot of the perpendicular; none where tangents are parallel."""
+def _step(given: Any, point: Any, u: Any, v: Any) -> tuple[Any, Any]:
+    """Gauss-Newton's step of the parameters towards the nearest point, along a side where it would leave the patch.
+
+    0 where tangents are parallel.
+    """
     here, along_u, along_v = _derivatives(given, u, v)
     left = point - here
     a, b, c = (jnp.sum(p * q, axis=0) for p, q in ((along_u, along_u), (along_u, along_v), (along_v, along_v)))
     x, y = jnp.sum(along_u * left, axis=0), jnp.sum(along_v * left, axis=0)
     determinant = a * c - b * b
-    steep = determinant > 1e-9 * a * c
+    steep = determinant > _FLAT * a * c
     safe = jnp.where(steep, determinant, 1.0)
     step_u, step_v = jnp.where(steep, (c * x - b * y) / safe, 0.0), jnp.where(steep, (a * y - b * x) / safe, 0.0)
-    return jnp.clip(u + step_u, 0.0, 1.0), jnp.clip(v + step_v, 0.0, 1.0)
+    out_u, out_v = (((t <= 0) & (d < 0)) | ((t >= 1) & (d > 0)) for t, d in ((u, step_u), (v, step_v)))
+    alone_u, alone_v = (jnp.where(p > 0, r / jnp.where(p > 0, p, 1.0), 0.0) for r, p in ((x, a), (y, c)))
+    return (
+        jnp.where(out_u, 0.0, jnp.where(out_v, alone_u, step_u)),
+        jnp.where(out_v, 0.0, jnp.where(out_u, alone_v, step_v)),
+    )
 
 
 def _derivatives(control: Any, u: Any, v: Any) -> tuple[Any, Any, Any]:

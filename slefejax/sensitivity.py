@@ -69,6 +69,8 @@ def sensitivity(
     for name in ("anisotropic", "verify"):
         if options.pop(name, False):
             raise InputError(f"{name} finds whole numbers, which have no derivatives: leave it out")
+    if pose is not None and scene.rig is None:
+        raise InputError(f"{scene.name} does not move: it has no pose but the one at rest")
     tolerance = float(options.pop("tolerance", 0.5))
     model = _Mesh(scene, pose, deform) if scene.conversion is not None else _Points(scene)
     sphere = bounding_sphere(scene.points())
@@ -126,8 +128,6 @@ class _Mesh:
 
     def __init__(self, scene: Scene, pose: Any, deform: Deformation) -> None:
         self.scene, self.deform, self.rig = scene, deform, scene.rig
-        if pose is not None and self.rig is None:
-            raise InputError(f"{scene.name} does not move: it has no pose but the one at rest")
         self.pose = Pose()
         if self.rig is not None:
             found = self.rig.check(pose if isinstance(pose, Pose) else self.rig.pose(pose))
