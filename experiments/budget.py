@@ -44,6 +44,8 @@ class BudgetOfScene:
         """Search, measure, draw."""
         if not self.triangles or len(set(self.triangles)) < len(self.triangles):
             raise InputError("--triangles needs at least one number, and none twice")
+        if self.by == "tolerance" and self.prediction.tolerance != PredictionOptions.tolerance:
+            raise InputError("--tolerance is what is looked for: leave it out, or search --by distance")
         scene = self.loading.load(self.scene)
         view = self.camera.view(scene)
         arguments = {**asdict(self), "output": None, "camera": camera_record(view)}

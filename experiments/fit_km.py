@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,6 +28,7 @@ PUBLISHED = "1.5 … 1 (animation paper); 1, √2 (2012)"
 _CURVES, _PIECES = 20_000, 64
 _UNSEEN = ("twisted-quad", "steep-patch")
 _REPEATS = 7
+_MOST_SEGMENTS = 64
 _WORST = 8
 _SHOWN = (
     "scene",
@@ -72,7 +73,7 @@ class FitKm:
     def run(self) -> Report:
         """Measure, fit, compare, draw."""
         self._check()
-        scenes = [self.loading.load(name) for name in self.scenes]
+        scenes = _named([self.loading.load(name) for name in self.scenes])
         inputs = {"scenes": [digest(scene.patches().tobytes()) for scene in scenes]}
         with Run("fit-km", {**asdict(self), "output": None}, self.output.out, inputs) as run:
             found = self._measure(run, scenes)
@@ -111,10 +112,12 @@ class FitKm:
             raise InputError("name at least one scene, a file or teapot, and none twice")
         if not self.segments or len(set(self.segments)) < len(self.segments):
             raise InputError("--segments needs at least one number, and none twice")
-        for name, value in (("--segments", min(self.segments)), ("--cameras", self.cameras - 1)):
-            check_count(name if value else f"{name} (two to hold one out)", value)
-        check_count("--folds (two to hold one out)", self.folds - 1)
-        check_count("--resamples (two or more)", self.resamples - 1)
+        for name, least in (("cameras", 2), ("folds", 2), ("resamples", 2), ("seed", 0)):
+            check_count(f"--{name}", getattr(self, name), least)
+        if not 1 <= min(self.segments) <= max(self.segments) <= _MOST_SEGMENTS:
+            raise InputError(f"--segments are numbers from 1 to {_MOST_SEGMENTS}, not {self.segments}")
+        if not 1e-9 <= self.temperature <= 1.0:
+            raise InputError(f"--temperature must lie between 1e-9 and 1, not {self.temperature}")
         if not 0.0 < self.target <= 1.0:
             raise InputError(f"--target is a share, above 0 and at most 1, not {self.target}")
 
@@ -215,6 +218,17 @@ class FitKm:
                 fits = [models[name]] if name in models else []
                 rows.append({**_model_row(other, name, factor, fits), "predict_ms": float("nan")})
         return rows
+
+
+def _named(scenes: list[Scene]) -> list[Scene]:
+    """With names of their own, where files in different folders have the same."""
+    names = [scene.name for scene in scenes]
+    return [
+        replace(scene, name=f"{scene.name} ({names[:k].count(scene.name) + 1})")
+        if names.count(scene.name) > 1
+        else scene
+        for k, scene in enumerate(scenes)
+    ]
 
 
 class _Measured(NamedTuple):

@@ -57,7 +57,8 @@ class Optimise:
 
     def run(self) -> Report:
         """Move, measure, write, draw."""
-        check_count("--cameras (one to fit, one to hold out)", self.cameras - 1)
+        check_count("--cameras", self.cameras, 2)
+        check_count("--seed", self.seed, 0)
         if not (np.isfinite(self.within) and self.within > 0):
             raise InputError(f"--within is a share of the radius, a positive number, not {self.within}")
         scene = self.loading.load(self.scene)

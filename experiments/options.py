@@ -218,14 +218,15 @@ def check_scales(scales: tuple[float, ...]) -> None:
         raise InputError("--scales names a number twice")
 
 
-def check_count(name: str, value: int) -> None:
-    """Raise InputError unless the number is at least 1."""
-    if value < 1:
-        raise InputError(f"{name} must be at least 1, not {value}")
+def check_count(name: str, value: int, least: int = 1) -> None:
+    """Raise InputError unless the number is large enough."""
+    if value < least:
+        raise InputError(f"{name} must be at least {least}, not {value}")
 
 
 def cameras_around(scene: Scene, width: int, height: int, count: int, seed: int) -> list[View]:
     """The scene's own view, and others that hold all of it, spread over a sphere around it; the same for one seed."""
+    check_count("--seed", seed, 0)
     rng = np.random.default_rng(seed)
     turn = rng.uniform(0.0, 2.0 * np.pi)
     golden = np.pi * (3.0 - np.sqrt(5.0))

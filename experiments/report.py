@@ -18,6 +18,8 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from slefejax.experiments.store import strict
+
 MOST_ROWS = 60
 _LONG = 40  # of a text that may be wrapped
 HEADINGS = {
@@ -96,7 +98,7 @@ class Report:
     def _json(self) -> str:
         out = None if self.out is None else str(self.out)
         content = {"scene": self.scene, "out": out, "notes": list(self.notes), **self.extra, "rows": self.rows}
-        return json.dumps(_strict(content), allow_nan=False) + "\n"
+        return json.dumps(strict(content), allow_nan=False) + "\n"
 
     def _text(self) -> str:
         rows = [{name: row[name] for name in self.shown or row} for row in self.rows]
@@ -108,15 +110,6 @@ class Report:
         if self.out is not None:
             lines.append(f"Results are in {self.out}")
         return "".join(f"{line}\n" for line in lines if line)
-
-
-def _strict(value: Any) -> Any:
-    """The same with null for numbers that JSON does not have."""
-    if isinstance(value, dict):
-        return {key: _strict(part) for key, part in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_strict(part) for part in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _table(rows: list[Row]) -> str:

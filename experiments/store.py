@@ -11,6 +11,7 @@ import csv
 import fcntl
 import hashlib
 import json
+import math
 import os
 import platform
 import shutil
@@ -114,7 +115,7 @@ class Run:
             "machine": {"system": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
             **record,
         }
-        self.file("run.json").write_text(json.dumps(content, indent=2, default=str) + "\n")
+        self.file("run.json").write_text(json.dumps(strict(content), indent=2, default=str, allow_nan=False) + "\n")
         self._rows_file.unlink(missing_ok=True)
         (self.work / _LOCK).unlink(missing_ok=True)
         return self._into_place()
@@ -160,6 +161,15 @@ _LOCK = "lock"
 def digest(content: bytes) -> str:
     """A short name for some content."""
     return hashlib.sha256(content).hexdigest()[:12]
+
+
+def strict(value: Any) -> Any:
+    """The same with null for numbers that JSON does not have."""
+    if isinstance(value, dict):
+        return {key: strict(part) for key, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [strict(part) for part in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def write_csv(path: Path, rows: list[Row]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from matplotlib.axes import Axes
 from slefejax.figures.style import SETTINGS, new_figure, save
 
 Rows = list[dict[str, Any]]
-_MARKS = "os^Dv*PX"
+_MARKS = "os^Dv*PX<>hpd8"
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 _MODEL_COLOURS = ("#d55e00", "#e69f00", "#0072b2", "#009e73")  # estimate as published, fitted, with twist, certified
 _ESTIMATORS: dict[str, dict[str, Any]] = {
@@ -95,6 +96,9 @@ def _plot_ratios(axes: Axes, shown: list[Any], k: float, m: int) -> None:
     axes.axhline(1.0, color="black", ls=":", lw=1.4)
     if np.isfinite(k):
         axes.axhline(k, color="black", lw=1.8)
+    if not any(len(needed) for *_, needed, _ in shown):
+        axes.text(0.5, 0.5, "the estimate is 0 for every patch", transform=axes.transAxes, ha="center")
+        axes.set_xlim(1e-3, 10.0)
     axes.set_xscale("log")
     _plain_ticks(axes, "x", (1e-3, 0.01, 0.1, 0.2, 0.5, 1, 2, 5, 10, 100))
     axes.set_xlabel("twist over m² w (what the estimate does not see over what it does)")
@@ -130,16 +134,17 @@ def _plot_models(axes: Axes, models: Rows) -> None:
     names = list(dict.fromkeys(row["model"] for row in models))
     scenes = list(dict.fromkeys(row["scene"] for row in models))
     floor = 1e-4
-    for name, colour in zip(names, _MODEL_COLOURS, strict=False):
-        for scene, mark in zip(scenes, _MARKS, strict=False):
+    # the largest marks below, so that models at the same place are all seen
+    for name, colour, size in zip(names, _MODEL_COLOURS, (13, 10, 7.5, 5), strict=False):
+        for scene, mark in zip(scenes, cycle(_MARKS)):
             row = next(r for r in models if r["model"] == name and r["scene"] == scene)
             if np.isnan(row["held_out_share_unsafe"]):
                 continue
             share = max(floor, row["held_out_share_unsafe"])
-            axes.plot(row["triangles_over_minimal"], share, mark, ms=9, color=colour, alpha=0.85, mec="white")
+            axes.plot(row["triangles_over_minimal"], share, mark, ms=size, color=colour, alpha=0.85, mec="white")
     for name, colour in zip(names, _MODEL_COLOURS, strict=False):
         axes.plot([], [], "o", color=colour, label=name)
-    for scene, mark in zip(scenes, _MARKS, strict=False):
+    for scene, mark in zip(scenes, cycle(_MARKS)):
         axes.plot([], [], mark, color="#777777", label=scene)
     axes.set_yscale("log")
     axes.set_ylim(0.6 * floor, 2.0)

@@ -42,7 +42,7 @@ def _plot_model(axes: Any, seen: Any, counts: tuple[np.ndarray, np.ndarray], sha
     share = 100.0 * (after - before) / np.maximum(before, 1.0)
     polygons, corners = seen
     values = share[[own[0] // (shape[1] * shape[2]) for own in corners]]
-    limit = max(1.0, float(np.abs(share).max()))
+    limit = max(0.1, float(np.abs(share).max()))
     faces = PolyCollection(
         polygons, cmap="RdBu_r", norm=TwoSlopeNorm(0.0, -limit, limit), edgecolors="#303030", linewidths=0.25
     )
@@ -70,4 +70,5 @@ def _plot_patches(axes: Any, counts: dict[str, tuple[np.ndarray, np.ndarray]]) -
     axes.set_xlabel("triangles of a patch before, all views of a kind")
     axes.set_ylabel("change (%)")
     axes.set_title("a mark is a patch")
+    axes.margins(y=0.15)
     axes.legend(fontsize=10)

@@ -56,7 +56,7 @@ class Budget(NamedTuple):
 def tolerance_for_budget(
     patches: Patches, view: View, triangles: Any, *, edge_numbers: Any = None, **options: Any
 ) -> Budget:
-    """The finest tolerance that a number of triangles is enough for, to within 1 % of them or one step.
+    """A tolerance that a number of triangles is enough for: the finest, to within 1 % of them or one step.
 
     patches, view, edge_numbers, options : as for ``tessellation_factors``, but for the tolerance
     triangles    : as drawn, with shared edges and transition rings
@@ -69,7 +69,7 @@ def tolerance_for_budget(
     >>> 0.99 * 10_000 <= found.triangles <= 10_000
     True
     """
-    patches, wanted = _checked(patches, view, triangles, options)
+    patches, wanted = _checked(patches, view, triangles, options, True)
     edges = shared_edges(np.asarray(patches)) if edge_numbers is None else edge_numbers
 
     def factors(log: float) -> Factors:
@@ -92,7 +92,7 @@ def distance_for_budget(
     Raises InputError for a camera without perspective, for a budget that no place on the line meets, and as
     ``tessellation_factors`` does.
     """
-    patches, wanted = _checked(patches, view, triangles, options)
+    patches, wanted = _checked(patches, view, triangles, options, False)
     if not view.camera.perspective:
         raise InputError("without perspective the distance of the camera changes nothing: ask for the tolerance")
     edges = shared_edges(np.asarray(patches)) if edge_numbers is None else edge_numbers
@@ -124,8 +124,10 @@ def real_triangles(patches: Any, view: View, **options: Any) -> Any:
     return 2.0 * jnp.sum(jnp.minimum(factor, _LEVEL) ** 2)
 
 
-def _checked(patches: Any, view: Any, triangles: Any, options: dict[str, Any]) -> tuple[Any, int]:
+def _checked(patches: Any, view: Any, triangles: Any, options: dict[str, Any], is_tolerance: bool) -> tuple[Any, int]:
     patches = check_patches(patches)
+    if is_tolerance and "tolerance" in options:
+        raise InputError("the tolerance is what is looked for: leave it out")
     if not is_whole(triangles, 2):
         raise InputError(f"a budget is a whole number of triangles, at least 2, not {triangles!r}")
     if options.get("method") == "fixed":
@@ -212,7 +214,7 @@ def _climb(
             break
         log = _next(log + np.log(max(count, 1) / (_AIM * wanted)), log, low, high, counts)
     if best is None:
-        raise InputError(f"no place was found that meets {wanted:,} triangles: the nearest has {above:,}")
+        raise InputError(f"nothing was found that meets {wanted:,} triangles: the fewest that were met are {above:,}")
     count, log, found = best
     tolerance, view = place(log)
     camera = view.camera

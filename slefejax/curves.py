@@ -21,6 +21,7 @@ from slefejax.bezier import bernstein, evaluate_curve
 from slefejax.errors import InputError
 from slefejax.slefe import slefe, slefe_table
 
+_MOST_SEGMENTS = 1000
 _PLACES = 65  # parameters at which the largest is looked for before it is refined
 _SAMPLES = 33  # of a piece; its error is nearly a parabola whose top is one of them
 
@@ -29,7 +30,7 @@ _SAMPLES = 33  # of a piece; its error is nearly a parabola whose top is one of 
 def curve_constant(degree: int, segments: int) -> float:
     """The smallest k_m with which the estimate holds for all curves of a degree, cut into many pieces.
 
-    degree   : from 2 to 64;  segments : m
+    degree   : from 2 to 64;  segments : m, at most 1000
 
     For cubics 1.3959, 1.1529, 1.0948, 1.0687, ... with m = 1, 2, 3, 4, ... For every parameter t a linear program over
     the second differences; the largest of them all. Raises InputError as ``slefe_table`` does.
@@ -37,6 +38,8 @@ def curve_constant(degree: int, segments: int) -> float:
     >>> [round(curve_constant(3, m), 4) for m in (1, 2, 3, 4)]
     [1.3959, 1.1529, 1.0948, 1.0687]
     """
+    if check_segments(segments) > _MOST_SEGMENTS:
+        raise InputError(f"constants are known up to {_MOST_SEGMENTS} segments, and nearly 1 from there on: {segments}")
     table = slefe_table(degree, segments)
     gaps = (table.upper - table.lower).T
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from slefejax.arguments import Patches, check_patches
+from slefejax.arguments import Patches, check_patches, is_whole
 from slefejax.bezier import evaluate_patch
 from slefejax.errors import InputError
 
@@ -27,18 +27,26 @@ def surface_distance(patches: Patches, given: Patches, places: int = _PLACES) ->
     places themselves. Polynomial patches; scene units.
     """
     patches, given = _alike(patches, given)
+    if not is_whole(places, 2):
+        raise InputError(f"places must be a whole number of at least 2, not {places!r}")
     return np.sqrt(np.max(np.asarray(_distances_jit(patches, given, places, _NEAREST)), axis=1))
 
 
 def side_turns(patches: Patches, given: Patches, places: int = _PLACES) -> Float[np.ndarray, "patches"]:
     """By how many degrees the tangent plane of a patch turned from the given one, at equal parameters on its sides.
 
-    The largest over places along the four sides, but corners and where either has no tangent plane. Two neighbours
-    that are smooth across their edge turn against each other by at most the sum of both. Polynomial patches.
+    The largest over places along the four sides, but corners and where the given one has no tangent plane. Two
+    neighbours that are smooth across their edge turn against each other by at most the sum of both. Polynomial.
     """
     patches, given = _alike(patches, given)
-    sines = np.asarray(_turns_jit(patches, given, places))
-    return np.degrees(np.arcsin(np.sqrt(np.minimum(np.max(sines, axis=1), 1.0))))
+    squares = np.asarray(_turns_jit(patches, given, places))
+    return np.degrees(2.0 * np.arcsin(np.minimum(0.5 * np.sqrt(np.max(squares, axis=1)), 1.0)))
+
+
+def unfolded(patches: Patches, given: Patches, places: int = _PLACES) -> Any:
+    """Which patches ``(patches,)`` have normals within 90 degrees of the given ones, at equal parameters inside."""
+    patches, given = _alike(patches, given)
+    return np.asarray(_unfolded_jit(patches, given, places))
 
 
 def edge_turns(patches: Patches, edge_numbers: Int[np.ndarray, "patches 4"]) -> Float[np.ndarray, "shared"]:
@@ -79,17 +87,26 @@ def distance_squares(patches: Any, given: Any, places: int, steps: int) -> Any:
 
 
 def turn_squares(patches: Any, given: Any, places: int) -> Any:
-    """Squares of sines ``(patches, 4 places)`` of the angles of ``side_turns``; 0 where there is no tangent plane.
+    """(2 sin(a / 2))^2 for the angles a of ``side_turns``, ``(patches, 4 places)``, as differences of unit normals.
 
-    Differentiable.
+    0 where the given patch has no tangent plane, 4 where only the other one has none. Differentiable.
     """
     found = []
     for u, v in _sides(places):
         (_, n), (_, m) = _points_and_normals(patches, u, v), _points_and_normals(given, u, v)
-        found.append(jnp.sum(jnp.cross(n, m, axis=0) ** 2, axis=0))
+        flat, lost = (jnp.all(x == 0, axis=0) for x in (m, n))
+        found.append(jnp.where(flat, 0.0, jnp.where(lost, 4.0, jnp.sum((n - m) ** 2, axis=0))))
     return jnp.concatenate(found, axis=-1)
 
 
+def _unfolded(patches: Any, given: Any, places: int) -> Any:
+    t = (np.arange(places) + 0.5) / places
+    u, v = (x.ravel() for x in np.meshgrid(t, t, indexing="ij"))
+    (_, n), (_, m) = _points_and_normals(patches, u, v), _points_and_normals(given, u, v)
+    return jnp.all((jnp.sum(n * m, axis=0) > 0) | jnp.all(m == 0, axis=0), axis=-1)
+
+
+_unfolded_jit = partial(jax.jit, static_argnums=2)(_unfolded)
 _distances_jit = partial(jax.jit, static_argnums=(2, 3))(distance_squares)
 _turns_jit = partial(jax.jit, static_argnums=2)(turn_squares)
 
@@ -98,6 +115,8 @@ def _alike(patches: Any, given: Any) -> tuple[Any, Any]:
     patches, given = check_patches(patches, dims=(3,)), check_patches(given, dims=(3,))
     if patches.shape[0] != given.shape[0]:
         raise InputError(f"there are {patches.shape[0]} patches and {given.shape[0]} to compare them with")
+    if not (np.isfinite(np.asarray(patches)).all() and np.isfinite(np.asarray(given)).all()):
+        raise InputError("patches that are compared must have finite control points")
     return jnp.asarray(patches), jnp.asarray(given)
 
 

@@ -168,7 +168,7 @@ def tessellation_factors(
     ``slefe``: only tiles whose boxes reach into the view volume count; where a box touches or lies behind the near
     plane it is measured as if it lay in it, which is as near as anything is drawn; nothing is divided by a smaller W.
     ``.factor`` is differentiable by patches, camera, tolerance and k, in forward and reverse mode; derivatives are
-    finite everywhere (docs/gradients.md). A traced tolerance that is not positive gives NaN.
+    finite everywhere (docs/gradients.md). Traced numbers that are out of their range give NaN.
 
     Raises InputError for wrong shapes, control points that are not finite (with the patch's number), segments or tiles
     < 1, a tolerance or k that is not positive, a temperature beyond its range, or results that overflow.
@@ -254,18 +254,32 @@ def view_pass(
     packed : control points; None where boxes are enough
     boxes  : slefe boxes, or None to compute them on the way
     """
+    bad = _out_of_range(scales, method)
     if method == "certified":
         factor: Any = certified_factors(packed, projection, scales, fineness)
         fine = _harmless(packed, projection, (1, 2, 3))
         for scale in scales[:2]:
             if scale is not None:
                 # control points are divided by it
-                fine &= (scale > 0) & _harmless(packed / scale, projection, (1, 2, 3))
-        return jnp.where(fine, factor, jnp.nan)
+                fine &= _harmless(packed / scale, projection, (1, 2, 3))
+        return jnp.where(fine & ~bad, factor, jnp.nan)
     if boxes is not None:
-        return layout.over_chunks(partial(_from_boxes, segments=fineness), (boxes, packed), projection, *scales)
-    kernel = partial(slefe_factor, segments=fineness) if method == "slefe" else _seen(RULES[method])
-    return layout.over_chunks(_unless_bad(kernel), packed, projection, *scales)
+        factor = layout.over_chunks(partial(_from_boxes, segments=fineness), (boxes, packed), projection, *scales)
+    else:
+        kernel = partial(slefe_factor, segments=fineness) if method == "slefe" else _seen(RULES[method])
+        factor = layout.over_chunks(_unless_bad(kernel), packed, projection, *scales)
+    return jnp.where(bad, jnp.nan, factor)
+
+
+def _out_of_range(scales: tuple[Any, ...], method: str) -> Any:
+    """Whether a number that was traced, so that nobody could look at it, is not positive, or no temperature."""
+    bad: Any = False
+    for scale in scales:
+        if scale is not None:
+            bad |= ~(scale > 0)
+    if method in ("certified", "slefe") and scales[-1] is not None:
+        bad |= ~(scales[-1] <= 1)
+    return jnp.asarray(bad)
 
 
 def _from_boxes(both: Any, projection: Projection, *scales: Any, segments: tuple[int, int]) -> Any:

@@ -36,6 +36,7 @@ from slefejax.samples import Samples, slefe_term
 ESTIMATORS = ("largest", "quantile", "least-squares")
 TEMPERATURE = 1e-3  # of the pinball loss, in units of log(tau): a tenth of a percent
 _FIRST_TEMPERATURE = 1.0  # the loss is sharpened by tens from here
+_COLDEST = 1e-9
 _STEPS = 400
 _SMALLEST = 1e-12  # a coefficient over what its term would need alone
 
@@ -111,7 +112,8 @@ def fit_km(
         reason = f"{100 * hidden:.3g} % of the samples need pieces though {what}"
         return make(coefficients=np.full(len(names), np.inf), converged=False, reason=reason)
     # those out of reach are unsafe whatever the constant, so the others have to make up for them
-    level, design, needed = level / (1.0 - hidden), design[reachable], needed[reachable]
+    design, needed = design[reachable], needed[reachable]
+    level = 1.0 if estimator == "largest" else _level(level / (1.0 - hidden), len(needed))
     unit = _unit(design, needed)
     found, reason = _ESTIMATORS[estimator](design * unit, needed, level, float(temperature))
     return make(coefficients=found * unit, converged=not reason, reason=reason)
@@ -144,8 +146,9 @@ def bootstrap_km(
     """
     names = (slefe_term(segments),)
     _check(target, estimator, temperature)
-    if not is_whole(resamples, 2) or not 0.0 < float(confidence) < 1.0:
-        raise InputError("a bootstrap needs two resamples or more, and a confidence between 0 and 1")
+    check_positive("confidence", confidence)
+    if not is_whole(resamples, 2) or not is_whole(seed, 0) or float(confidence) >= 1.0:
+        raise InputError("a bootstrap needs two resamples or more, a seed from 0 on, a confidence between 0 and 1")
     chosen = _countable(samples, names)
     views, number = np.unique(chosen.view, return_inverse=True)
     rng = np.random.default_rng(seed)
@@ -174,6 +177,8 @@ def held_out(samples: Samples, factors: Float[np.ndarray, "samples"]) -> HeldOut
     All NaN if a factor is. Raises InputError if every minimal factor is 1.
     """
     counted = samples.minimal > 1
+    if np.shape(factors) != counted.shape:
+        raise InputError(f"there are {len(counted)} samples and factors of shape {np.shape(factors)}")
     if not counted.any():
         raise InputError("every patch has a minimal factor of 1: there is nothing to compare with")
     minimal, whole = samples.minimal[counted], np.ceil(np.asarray(factors)[counted])
@@ -209,6 +214,8 @@ def _check(target: Any, estimator: str, temperature: Any) -> None:
     if float(target) > 1.0:
         raise InputError(f"the target is a share of the samples, at most 1, not {target}")
     check_positive("temperature", temperature)
+    if not _COLDEST <= float(temperature) <= 1.0:
+        raise InputError(f"the temperature of the loss is at least {_COLDEST:g} and at most 1, not {temperature}")
 
 
 def _countable(samples: Samples, names: Sequence[str]) -> Samples:

@@ -2,7 +2,8 @@
 
 A soft maximum of temperature T, 0 < T <= 1, of numbers that are not negative is their norm of order 1/T: at least the
 largest of them, at most N^T times as much where there are N, and smooth, with weights that add up in its gradient
-where several are equal. It does not depend on units. Where all of them are 0 it is 0 and so is its gradient.
+where several are equal. It does not depend on units. Where all of them are 0 it is 0 and so is its gradient. A
+temperature below 128 eps counts as that.
 """
 
 from __future__ import annotations
@@ -33,14 +34,14 @@ def largest(values: list[Any], temperature: Any = None) -> Any:
     whole = reduce(larger, values)
     if temperature is None or len(values) == 1:
         return whole
-    unit = _unit(whole)
+    unit, temperature = _unit(whole), _resolvable(temperature, whole)
     return _soft(whole, sum((value / unit) ** (1.0 / temperature) for value in values), temperature)
 
 
 def largest_along(values: Any, axis: tuple[int, ...], temperature: Any) -> Any:
     """The soft maximum along axes of an array that is not negative."""
     whole = jnp.max(values, axis=axis)
-    unit = _unit(whole)
+    unit, temperature = _unit(whole), _resolvable(temperature, whole)
     powers = (values / jnp.expand_dims(unit, axis)) ** (1.0 / temperature)
     return _soft(whole, jnp.sum(powers, axis=axis), temperature)
 
@@ -84,9 +85,14 @@ def extent(values: list[Any], temperature: Any) -> Any:
 
 
 def _soft(whole: Any, powers: Any, temperature: Any) -> Any:
-    """From the sum of powers of the values over their largest: at least 1, unless all values are 0."""
-    some = whole > 0
-    return _unit(whole) * jnp.where(some, powers, 1.0) ** temperature * some
+    """From the sum of powers of the values over their largest: 1 or more, but for rounding, unless all values are 0."""
+    some, eps = whole > 0, jnp.finfo(whole.dtype).eps
+    return _unit(whole) * (1.0 + 8.0 * eps) * jnp.where(some, powers, 1.0) ** temperature * some
+
+
+def _resolvable(temperature: Any, values: Any) -> Any:
+    """Where 1/T is so large that numbers that differ by rounding have powers that differ much, 128 eps counts as T."""
+    return jnp.maximum(temperature, 128.0 * jnp.finfo(values.dtype).eps)
 
 
 def _unit(whole: Any) -> Any:

@@ -19,10 +19,10 @@ from jaxtyping import Float
 
 from slefejax.arguments import Number, Patches, check_patches, check_positive, is_whole
 from slefejax.budget import real_triangles
-from slefejax.deviation import distance_squares, side_turns, surface_distance, turn_squares
+from slefejax.deviation import distance_squares, side_turns, surface_distance, turn_squares, unfolded
 from slefejax.errors import InputError
 from slefejax.factors import tessellation_factors
-from slefejax.view import View
+from slefejax.view import View, check_views
 
 _SMOOTH = 0.02  # temperature of the factors while points move
 _WEIGHTS = (0.1, 1.0)  # of distances and turns beyond the allowed ones, one after the other
@@ -84,23 +84,29 @@ def fewer_triangles(
     patches : polynomial, ``(patches, du+1, dv+1, 3)``, of degree 2 or more in u and v
     views   : whose sum of 2 tau^2 shall become small; of one size and one kind of camera
     within  : the largest distance from the given surface, in scene units
-    turn    : the largest angle, in degrees, between the tangent planes of a patch before and after, along its sides: by
-              twice that neighbours that were smooth may meet at an angle
+    turn    : the largest angle, in degrees, between the tangent planes of a patch before and after, along its sides: at
+              twice that neighbours that were smooth may meet. Inside, normals stay within 90 degrees: nothing folds
     steps   : of the solver (L-BFGS) for each of its two weights of the limits
     start, progress : ``progress`` hears after each step how far it has got, and from there ``start`` goes on
-    options : those of ``tessellation_factors`` but ``anisotropic``, ``verify`` and ``smooth``
+    options : those of ``tessellation_factors`` but ``anisotropic``, ``verify`` and ``smooth``; method ``certified`` or
+              ``slefe``
 
     A patch that ends too far away, or turned too much, goes back on a straight line as far as it must, and all the way
     if its triangles did not become fewer. Raises InputError for rational patches, linear ones, and as
     ``tessellation_factors`` does.
     """
-    patches = check_patches(patches, dims=(3,))
+    patches = check_patches(patches)
+    if patches.shape[3] == 4:
+        raise InputError("rational patches are not moved: give polynomial ones, (patches, du+1, dv+1, 3)")
+    if options.get("method", "certified") not in ("certified", "slefe"):
+        raise InputError(f"points are moved with smooth factors: method {options['method']!r} has none")
     check_positive("within", within)
     check_positive("turn", turn)
     if min(patches.shape[1:3]) < 3:
         raise InputError("patches of degree 1 have no inner control points to move")
-    if not is_whole(steps, 1) or not len(views):
-        raise InputError("moving control points needs a step and a view at least")
+    if not is_whole(steps, 1):
+        raise InputError(f"steps must be a whole number of at least 1, not {steps!r}")
+    check_views(views)
     if len({(view.width, view.height, view.camera.perspective) for view in views}) > 1:
         raise InputError("the views must be of one size, all with perspective or all without")
     for name in ("anisotropic", "verify", "smooth"):
@@ -127,14 +133,14 @@ class _Limits(NamedTuple):
 
     def excess(self, patches: Any, given: Any) -> Any:
         """How far patches are beyond the limits, or near them, at a few places: a sum of squares, differentiable."""
-        sine = np.sin(np.radians(min(self.turn, 90.0)))
         distances = distance_squares(patches, given, _PLACES, _NEAREST) / self.distance**2
-        turns = turn_squares(patches, given, _PLACES) / sine**2
+        turns = turn_squares(patches, given, _PLACES) / (2.0 * np.sin(np.radians(min(self.turn, 180.0) / 2.0))) ** 2
         return sum(jnp.sum(jnp.maximum(x - _ALLOWED**2, 0.0) ** 2) for x in (distances, turns))
 
     def kept(self, patches: Any, given: Any) -> Any:
         """Which patches are within both, at many places."""
-        return (surface_distance(patches, given) <= self.distance) & (side_turns(patches, given) <= self.turn)
+        near = (surface_distance(patches, given) <= self.distance) & (side_turns(patches, given) <= self.turn)
+        return near & unfolded(patches, given)
 
 
 def _descend(

@@ -98,6 +98,8 @@ def check_smooth(method: str, smooth: Any, whole: bool = False) -> None:
         raise InputError(f"method {method!r} knows no smooth: 'certified' and 'slefe' do")
     if whole:
         raise InputError("smooth is of real factors: anisotropic and verify find whole numbers without it")
+    if isinstance(smooth, bool):
+        raise InputError("smooth is a temperature, such as 0.01, and not yes or no")
     check_positive("smooth", smooth)
     if not isinstance(smooth, Tracer) and float(smooth) > 1.0:
         raise InputError(f"smooth is a temperature of at most 1, not {smooth}: 0.01 or less is close to the maximum")

@@ -105,4 +105,5 @@ def _longest(vectors: Any) -> Any:
 
 
 def _norm(vector: Any) -> Any:
-    return jnp.sqrt(jnp.sum(vector**2))
+    # row W is 0 without perspective
+    return root(jnp.sum(vector**2))

@@ -13,7 +13,7 @@ from slefejax.arguments import Number, Patches, check_patches, check_positive, c
 from slefejax.errors import InputError
 from slefejax.minimal import minimal_factors
 from slefejax.supremum import sampled_error
-from slefejax.view import View
+from slefejax.view import View, check_views
 from slefejax.widths import screen_twists, screen_widths
 
 TWIST = "twist"
@@ -107,8 +107,9 @@ def measure_factors(
     """
     patches = check_patches(patches)
     check_positive("tolerance", tolerance)
-    if not len(segments) or not len(views):
-        raise InputError("measuring needs at least one view and one number of segments")
+    if not isinstance(segments, (tuple, list)) or not segments:
+        raise InputError(f"segments must be a list of numbers of pieces, such as (3,), not {segments!r}")
+    check_views(views)
     wanted = [check_segments(m) for m in segments]
     parts = []
     for number, view in enumerate(views):

@@ -230,6 +230,8 @@ def save(scene: Any, path: Any) -> None:
     if Path(path).suffix.lower() == ".bpt":
         if scene.control.shape[3] == 4:
             raise InputError(f"{scene.name} has rational patches, which a .bpt file cannot hold")
+        if not np.isfinite(scene.control).all():
+            raise InputError(f"{scene.name} has control points that are not finite: nothing was written")
         return write_bpt(Path(path), scene.patches())
     if scene.conversion is None:
         raise InputError(f"{scene.name} is no control mesh, as a .json file needs one: save the patches as .bpt")

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from slefejax.arguments import check_positive
 from slefejax.budget import moved, real_triangles
 from slefejax.errors import InputError
 from slefejax.rig import Deformation, Pose
@@ -71,7 +72,9 @@ def sensitivity(
             raise InputError(f"{name} finds whole numbers, which have no derivatives: leave it out")
     if pose is not None and scene.rig is None:
         raise InputError(f"{scene.name} does not move: it has no pose but the one at rest")
-    tolerance = float(options.pop("tolerance", 0.5))
+    tolerance = options.pop("tolerance", 0.5)
+    check_positive("tolerance", tolerance)
+    tolerance = float(tolerance)
     model = _Mesh(scene, pose, deform) if scene.conversion is not None else _Points(scene)
     sphere = bounding_sphere(scene.points())
 
@@ -84,6 +87,8 @@ def sensitivity(
     if view.camera.perspective:
         at["distance"] = jnp.zeros(())
     triangles, slope = jax.jit(jax.value_and_grad(partial(count, model=model)))(at)
+    if not float(triangles) > 0:
+        raise InputError(f"nothing of {scene.name} is visible from this camera: turn it towards the scene")
     slope = {name: np.asarray(value, np.float64) for name, value in slope.items()}
     return Sensitivity(
         float(triangles),

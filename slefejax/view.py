@@ -253,3 +253,9 @@ def _scalar(value: Any) -> Any:
 
 def _unit(vector: Any) -> Any:
     return vector / _namespace(vector).linalg.norm(vector)
+
+
+def check_views(views: Any) -> None:
+    """InputError unless these are views, one at least, in a list or tuple."""
+    if not isinstance(views, (list, tuple)) or not views or not all(isinstance(view, View) for view in views):
+        raise InputError("views must be a list of slefejax.View (a camera and a picture size), one at least")

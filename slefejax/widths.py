@@ -43,10 +43,10 @@ def screen_widths(
 def screen_twists(patches: Patches, view: View) -> Float[Array, "patches"]:
     """The size of the mixed second derivative on the screen, over 4, in pixels; 0 for a patch that is off-screen.
 
-    So much a bilinear patch is off if it is drawn as two triangles: sqrt(twist / tolerance) pieces are enough for it,
-    while w is 0. Taken from control points: d_u d_v (D_uv X - s D_uv W) / W with D_uv the mixed difference of each
-    quad of the control net, s and W those of its middle, the largest of all quads and both coordinates. Arguments as of
-    ``screen_widths``; differentiable alike.
+    Without perspective so much a bilinear patch is off if it is drawn as two triangles, and sqrt(twist / tolerance)
+    pieces are enough for it, while w is 0; with perspective that is nearly so, and no bound. Taken from control points:
+    d_u d_v (D_uv X - s D_uv W) / W with D_uv the mixed difference of each quad of the control net, s and W those of its
+    middle, the largest of all quads and both coordinates. Arguments as of ``screen_widths``; differentiable alike.
     """
     return _over_patches(patches, view, None, None)
 

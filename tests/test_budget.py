@@ -98,6 +98,7 @@ def test_a_moved_camera_keeps_the_scene_between_its_planes(teapot, main_view):
     [
         ({"triangles": 20}, "20 triangles are too few: with one piece a patch there are 64"),
         ({"triangles": 1}, "at least 2"),
+        ({"tolerance": 7.0}, "the tolerance is what is looked for"),
         ({"triangles": 2.5}, "a whole number"),
         ({"triangles": float("nan")}, "a whole number"),
         ({"triangles": "many"}, "a whole number"),

@@ -101,6 +101,39 @@ def test_smooth_gradients_against_differences_on_ties(hard):
     assert float(np.vdot(slopes[0], direction)) == pytest.approx((ahead - behind) / (2 * h), rel=1e-5)
 
 
+@pytest.mark.parametrize("method", ["filip", "minmax", "edge-length", "screen-box"])
+def test_gradients_without_perspective(method, hard):
+    """Row W of the matrix is (0, 0, 0, 1) there: its first three numbers have no direction."""
+
+    def total(eye: Any, points: Any) -> Any:
+        view = View(Camera.orthographic(eye, TARGET, height=6.0), 640, 400)
+        return jnp.sum(tessellation_factors(points, view, method).factor)
+
+    for slope in jax.grad(total, argnums=(0, 1))(EYE, jnp.asarray(hard)):
+        assert np.isfinite(slope).all()
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_a_temperature_next_to_nothing_is_no_smaller_than_rounding(dtype, hard):
+    points, options = hard.astype(dtype), FAST["slefe"]
+    exact = np.asarray(tessellation_factors(points, _view(EYE), "slefe", **options).factor)
+    for temperature in (1e-30, 1e-10, 1e-6):
+        soft = np.asarray(tessellation_factors(points, _view(EYE), "slefe", smooth=temperature, **options).factor)
+        assert np.all(soft >= exact * (1 - 16 * np.finfo(dtype).eps))
+
+
+@pytest.mark.parametrize("method", ["slefe", "filip"])
+def test_traced_numbers_beyond_their_range_give_nan(method, hard):
+    view = _view(EYE)
+    factor = jax.jit(lambda t: tessellation_factors(hard, view, method, tolerance=t, **FAST.get(method, {})).factor)
+    for tolerance in (0.0, -1.0, np.nan):
+        assert np.isnan(factor(tolerance)).all()
+    if method == "slefe":
+        soft = jax.jit(lambda t: tessellation_factors(hard, view, "slefe", smooth=t, segments=1).factor)
+        for temperature in (0.0, -1.0, 2.0):
+            assert np.isnan(soft(temperature)).all()
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [
@@ -109,6 +142,7 @@ def test_smooth_gradients_against_differences_on_ties(hard):
         ({"smooth": 0.1, "anisotropic": True}, "anisotropic and verify find whole numbers"),
         ({"smooth": 2.0}, "a temperature of at most 1"),
         ({"smooth": 0.0}, "smooth must be"),
+        ({"smooth": True}, "not yes or no"),
         ({"smooth": float("nan")}, "smooth must be"),
         ({"method": "slefe", "smooth": "hot"}, "smooth must be"),
     ],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from slefejax import (
     Camera,
@@ -19,6 +19,7 @@ from slefejax import (
     surface_distance,
 )
 from slefejax.bezier import evaluate_patch
+from slefejax.deviation import unfolded
 from slefejax.edges import shared_edges
 
 FAST = {"method": "slefe", "segments": 1}
@@ -41,7 +42,7 @@ def test_distance_against_a_cloud_of_points(rng):
     patches = given + 0.02 * rng.normal(size=given.shape)
     found = surface_distance(patches, given)
     for k in range(3):
-        cloud, _ = cKDTree(grid(given[k], 500)).query(grid(patches[k], 33))
+        cloud, _ = KDTree(grid(given[k], 500)).query(grid(patches[k], 33))
         # the cloud is 1/500 wide: nearest points of it are no nearer than those of the surface, and hardly further
         assert cloud.max() - 3e-4 <= found[k] <= 1.01 * cloud.max()
 
@@ -60,7 +61,13 @@ def test_turns_that_are_known():
     flat = patch_with(lambda x, y: 0 * x)
     slope = patch_with(lambda x, y: np.tan(np.radians(10.0)) * x)
     assert side_turns(slope, flat)[0] == pytest.approx(10.0)
-    assert side_turns(flat[:, ::-1], flat)[0] == pytest.approx(0.0, abs=1e-9), "planes have no side"
+    assert side_turns(flat[:, ::-1], flat)[0] == pytest.approx(180.0), "upside down"
+    assert side_turns(slope * [-1, 1, -1], slope)[0] == pytest.approx(180.0, abs=1e-5), "run through the other way"
+    steep = patch_with(lambda x, y: np.tan(np.radians(60.0)) * x)
+    assert side_turns(steep, steep * [1, 1, -1])[0] == pytest.approx(120.0)
+    folded = flat.copy()
+    folded[:, 1, 1, 0], folded[:, 2, 2, 0] = 3.0, -3.0
+    assert unfolded(np.concatenate([flat, folded]), np.concatenate([flat, flat])).tolist() == [True, False]
     # a roof: two slopes that meet in u = 0 of both, one of them run through backwards
     other = slope * [-1, 1, 1]
     roof = np.concatenate([slope, other[:, :, ::-1]])
@@ -87,7 +94,7 @@ def test_fewer_triangles_within_the_limits(relaxed):
     assert found.moved.tolist() == [True] * 4 + [False] * 2, "flat patches are one quad already, hidden ones need none"
     assert np.all(found.distance <= LIMITS["within"])
     assert np.all(found.turn <= LIMITS["turn"])
-    cloud = [cKDTree(grid(a, 400)).query(grid(b, 40))[0].max() for a, b in zip(patches, found.patches, strict=True)]
+    cloud = [KDTree(grid(a, 400)).query(grid(b, 40))[0].max() for a, b in zip(patches, found.patches, strict=True)]
     assert max(cloud) <= LIMITS["within"] * 1.02
     for side in (np.s_[:, 0], np.s_[:, -1], np.s_[:, :, 0], np.s_[:, :, -1]):
         assert np.array_equal(found.patches[side], patches[side]), "edges stay, bit for bit"
@@ -106,11 +113,12 @@ def test_it_goes_on_where_it_was(relaxed):
     [
         ({"within": 0.0}, "within must be"),
         ({"turn": -1.0}, "turn must be"),
-        ({"steps": 0}, "a step and a view"),
-        ({"views": []}, "a step and a view"),
+        ({"steps": 0}, "steps must be"),
+        ({"views": []}, "views must be"),
         ({"patches": np.zeros((1, 2, 4, 3))}, "no inner control points"),
-        ({"patches": np.ones((1, 4, 4, 4))}, "shape|dim|coordinates"),
+        ({"patches": np.ones((1, 4, 4, 4))}, "rational patches are not moved"),
         ({"verify": True}, "verify has no meaning here"),
+        ({"method": "filip"}, "method 'filip' has none"),
     ],
 )
 def test_bad_input(change, says, main_view):

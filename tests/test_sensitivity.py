@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -117,9 +118,10 @@ def test_certified_and_dual_quaternions(walker):
     ("call", "says"),
     [
         (lambda t, v: sensitivity(t.patches(), v), "sensitivity is of a slefejax.Scene"),
-        (lambda t, v: sensitivity(t, "view"), "the view must be a slefejax.View"),
+        (lambda t, v: sensitivity(t, cast(Any, "view")), "the view must be a slefejax.View"),
         (lambda t, v: sensitivity(t, v, verify=True), "verify finds whole numbers"),
         (lambda t, v: sensitivity(load("twisted-quad"), v, 3.0), "twisted-quad does not move"),
+        (lambda t, v: sensitivity(t, v, tolerance=0.0), "tolerance must be"),
         (lambda t, v: sensitivity(t, v, method="best"), "no method 'best'"),
     ],
 )
