@@ -56,12 +56,6 @@ def sensitivity(
               With ``smooth`` ties are shared, without it one of those that tie counts (docs/gradients.md)
 
     Raises InputError for a scene, a pose or options that the functions above would refuse.
-
-    >>> from slefejax import Camera, load
-    >>> view = View(Camera.look_at((4.5, -6.0, 4.0), (0.0, 0.0, 1.2)), width=1440, height=900)
-    >>> found = sensitivity(load("teapot"), view, method="slefe", segments=1)
-    >>> found.points.shape, bool(abs(found.tolerance + found.triangles) < 1e-6 * found.triangles)
-    ((290, 3), True)
     """
     if not isinstance(scene, Scene):
         raise InputError(f"sensitivity is of a slefejax.Scene, as load gives it, not of {type(scene).__name__}")

@@ -167,6 +167,7 @@ def test_proofs_of_hostile_patches_hold(first):
 
 
 @pytest.mark.gl
+@pytest.mark.slow
 def test_drawn_teapot_holds_with_its_rings(teapot, main_view, device):
     from slefejax.gpu import Renderer
 
@@ -206,6 +207,7 @@ def test_parabola_is_exact():
     assert factor == pytest.approx(np.sqrt(25 / 0.5), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_rational_patches_are_nearly_minimal():
     """A quarter of a torus: second derivatives of W are as large as those of X, and s goes along with the place."""
     half = np.sqrt(0.5)
@@ -318,7 +320,8 @@ def test_traced_tolerances(teapot, main_view):
     np.testing.assert_allclose(factors(0.5), tessellation_factors(teapot.patches(), main_view).factor, rtol=1e-12)
 
 
-@pytest.mark.parametrize("tiles", [2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("tiles", [2, 3])
 def test_tiles_off_the_screen_need_not_be_cut(rng, tiles):
     """Half of each patch is far to the right of the picture and curved; no visible point is wrong for it."""
     u = np.linspace(0, 1, 4)

@@ -26,7 +26,7 @@ def test_examples_of_a_module(name):
 def test_scripts_of_the_readme(device, capsys):
     scripts = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL)
     whole = [script for script in scripts if script.startswith("import")]
-    assert len(whole) == 4
+    assert len(whole) == 5
     for script in whole:
         exec(compile(script, "README.md", "exec"), {})
     shown = capsys.readouterr().out.split("\n")
@@ -34,4 +34,5 @@ def test_scripts_of_the_readme(device, capsys):
     assert int(shown[0].split()[1]) == 0, "no pixel is off by more than was asked for"
     assert shown[1].startswith("[0.25 0.25 0.25] 12")
     assert [line.partition("(")[2] for line in shown[2:5]] == ["'pose', 'view')", ")", "'pose', 'view')"]
-    assert shown[5].startswith("20178 15994 0.499")
+    assert shown[5].startswith("(32, 4, 4, 3) 99")
+    assert shown[6].startswith("20178 15994 0.499")

@@ -43,7 +43,7 @@ def exact_errors(a, b, c, inner):
 
 
 @pytest.mark.parametrize("anisotropic", [False, True])
-@pytest.mark.parametrize("verify", [False, True])
+@pytest.mark.parametrize("verify", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_saddles_hold_with_the_levels_that_are_drawn(rng, anisotropic, verify):
     """A cell that is narrower one way can have a larger error: a and c cancel less."""
     count = 60 if verify else 2000

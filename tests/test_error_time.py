@@ -47,6 +47,7 @@ def test_run(device, capsys, monkeypatch):
 
 
 @pytest.mark.gl
+@pytest.mark.slow
 def test_names_with_blanks_and_several_scenes(device, capsys, monkeypatch, tmp_path):
     quad = "1\n1 1\n0 0 0\n0 1 0\n1 0 0\n1 1 0.3\n"
     (tmp_path / "my first quad.bpt").write_text(quad)

@@ -21,6 +21,7 @@ def in_an_empty_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.mark.slow
 def test_fit_km(capsys):
     options = ["--segments", "1", "--cameras", "3", "--resamples", "20", *SMALL]
     result = run_json(capsys, "fit-km", "teapot", *options)
@@ -46,7 +47,7 @@ def test_fit_km(capsys):
     assert {"view", "patch", "minimal", "needed", "certified", "slefe_1", "twist"} == set(samples[0])
 
 
-@pytest.mark.parametrize("by", ["tolerance", "distance"])
+@pytest.mark.parametrize("by", ["tolerance", pytest.param("distance", marks=pytest.mark.slow)])
 def test_budget(capsys, by):
     result = run_json(capsys, "budget", "teapot", "--triangles", "2000", "9000", "--by", by, *FAST)
     for row, wanted in zip(result["rows"], (2000, 9000), strict=True):

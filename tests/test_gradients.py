@@ -75,7 +75,7 @@ def _smooth(method: str) -> Any:
     return lambda points, temperature: whole(jnp.asarray(points), EYE, 0.5, temperature)
 
 
-@pytest.mark.parametrize("method", ["slefe", "certified"])
+@pytest.mark.parametrize("method", ["slefe", pytest.param("certified", marks=pytest.mark.slow)])
 def test_smooth_factors_are_upper_bounds_with_finite_gradients(method, hard):
     exact = np.asarray(tessellation_factors(hard, _view(EYE), method, **FAST[method]).factor)
     before = exact
@@ -113,7 +113,7 @@ def test_gradients_without_perspective(method, hard):
         assert np.isfinite(slope).all()
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("dtype", [np.float32, pytest.param(np.float64, marks=pytest.mark.slow)])
 def test_a_temperature_next_to_nothing_is_no_smaller_than_rounding(dtype, hard):
     points, options = hard.astype(dtype), FAST["slefe"]
     exact = np.asarray(tessellation_factors(points, _view(EYE), "slefe", **options).factor)

@@ -87,6 +87,7 @@ def relaxed(teapot):
     return patches, views, found, heard
 
 
+@pytest.mark.slow
 def test_fewer_triangles_within_the_limits(relaxed):
     patches, views, found, _ = relaxed
     before, after = (sum(float(real_triangles(p, v, **FAST)) for v in views) for p in (patches, found.patches))
@@ -101,6 +102,7 @@ def test_fewer_triangles_within_the_limits(relaxed):
     assert "25 steps were not enough" in found.reason
 
 
+@pytest.mark.slow
 def test_it_goes_on_where_it_was(relaxed):
     patches, views, found, heard = relaxed
     assert [at.share(25) for at in heard] == pytest.approx(np.arange(1, 51) / 50)

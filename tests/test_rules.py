@@ -32,6 +32,7 @@ def test_filip_by_hand():
     assert float(tessellation_factors(twisted, view, "filip").factor[0]) == pytest.approx(np.sqrt(2 * 50 / 8 / 0.5))
 
 
+@pytest.mark.slow
 def test_filip_is_sound(rng):
     """Random patches in random perspective views, all in front of the camera: never above the tolerance."""
     checked = 0

@@ -55,7 +55,7 @@ def turned(view: View, degrees: float) -> View:
     [
         ({"tiles": 1}, None),
         (BOX, dual_quaternion_blend),
-        ({"method": "slefe", "segments": 2, "depth_tolerance": 1e-3}, None),
+        pytest.param({"method": "slefe", "segments": 2, "depth_tolerance": 1e-3}, None, marks=pytest.mark.slow),
         ({"method": "edge-length"}, None),
     ],
 )

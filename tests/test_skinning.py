@@ -83,7 +83,7 @@ def test_one_motion_of_all_bones_is_that_motion(rng, blend):
     np.testing.assert_allclose(found, rest @ motion[:, :3].T + motion[:, 3], atol=1e-13)
 
 
-@pytest.mark.parametrize("blend", [linear_blend, dual_quaternion_blend])
+@pytest.mark.parametrize("blend", [linear_blend, pytest.param(dual_quaternion_blend, marks=pytest.mark.slow)])
 def test_frames_in_a_batch_are_frames_one_by_one(rng, blend):
     rest, transforms = rng.normal(size=(4, VERTICES, 3)), rigid(rng, 4, BONES)
     influences = Influences.of(*random_influences(rng), BONES)

@@ -308,6 +308,7 @@ def test_minimal_pairs_are_valid_and_nothing_smaller_is(teapot, main_view):
                 assert np.all(error > tolerance), (n_u, n_v)
 
 
+@pytest.mark.slow
 def test_minimal_pairs_save_triangles_on_the_teapot(teapot, main_view):
     pairs = minimal_pairs(teapot.patches(), main_view)
     factors = minimal_factors(teapot.patches(), main_view)
