@@ -160,7 +160,8 @@ def tessellation_factors(
                       None: 8, 1, 16
     smooth          : of ``certified`` and ``slefe``: a temperature, 0 < smooth <= 1, or None. Maxima become soft ones,
                       never smaller (at most N^smooth times as large, of N numbers), so that ``.factor`` can be
-                      differentiated where they tie (docs/gradients.md). A certified factor stays one
+                      differentiated where they tie (docs/gradients.md). An estimate gets no smaller, a certified factor
+                      stays one
     pattern         : of ``certified``: how the tessellator makes transition rings; None: as Direct3D 11 says
     edge_numbers    : ``(patches, 4)``, the result of ``shared_edges``, if it is already known
 

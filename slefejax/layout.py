@@ -64,6 +64,6 @@ def over_chunks(kernel: Callable[..., Any], packed: Any, *arguments: Any) -> Any
 
     packed : ``(chunks, *rest, lanes)``, or a tree of such arrays
     """
-    # gradients: what a chunk needs again stays in the cache if it is computed again, up to four times faster than stored
+    # for gradients: what is computed again stays in the cache, which is up to four times faster than to store it
     again = jax.checkpoint(lambda chunk: kernel(chunk, *arguments), prevent_cse=False)
     return jax.lax.map(again, packed)
