@@ -21,10 +21,9 @@ def write_side_by_side(path: Path, panels: list[tuple[dict[str, Any], Path]], to
         figure = new_figure(15, 8.6)
         for axes, (row, _), image in zip(np.ravel(figure.subplots(2, 3)), panels, images, strict=False):
             axes.imshow(image[box], interpolation="nearest")
-            beyond = f", {row['capped_patches']} patches cut off at 64" if row["capped_patches"] else ""
             share = 100 * row["share_above_0.5"]
             axes.set_title(
-                f"{row['method_name']}{beyond}: {row['triangles']:,} triangles\n{share:.2g} % of the pixels off by more"
+                f"{row['method_name']}: {row['triangles']:,} triangles\n{share:.2g} % of the pixels off by more"
                 f" than ½ px, worst {row['max_error_px']:.2f} px",
                 fontsize=11,
             )

@@ -8,7 +8,7 @@ from typing import Any
 
 import moderngl
 
-from slefejax.errors import NoOpenGLError
+from slefejax.errors import NoOpenGLError, OpenGLError
 from slefejax.tessellator import HIGHEST_LEVEL
 
 OPENGL = 430
@@ -38,7 +38,7 @@ class Device:
         """Raise if OpenGL has recorded an error since the last look."""
         error = self.context.error
         if error != "GL_NO_ERROR":
-            raise RuntimeError(f"OpenGL reports {error} while {doing} on {self.renderer}")
+            raise OpenGLError(f"OpenGL reports {error} while {doing} on {self.renderer}")
 
 
 _device: Device | None = None

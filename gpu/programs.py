@@ -8,6 +8,8 @@ from typing import Any
 
 import moderngl
 
+from slefejax.errors import OpenGLError
+
 _STAGES = {
     "vertex_shader": "patch.vert",
     "tess_control_shader": "patch.tesc",
@@ -32,7 +34,7 @@ def _program(context: Any, shape: tuple[int, int, int], spacing: str, stages: di
     try:
         return context.program(**sources)
     except moderngl.Error as error:
-        raise RuntimeError(f"the shaders {', '.join(stages.values())} did not compile: {error}") from error
+        raise OpenGLError(f"the shaders {', '.join(stages.values())} did not compile: {error}") from error
 
 
 def _source(name: str, defines: dict[str, Any]) -> str:

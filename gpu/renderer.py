@@ -9,17 +9,19 @@ import moderngl
 import numpy as np
 from jaxtyping import Float, Int, Real
 
-from slefejax.arguments import Patches, check_patches
-from slefejax.errors import InputError
+from slefejax.arguments import Patches, check_patches, real_numbers, whole_numbers
+from slefejax.errors import InputError, OpenGLError
 from slefejax.gpu.context import Device, open_device
 from slefejax.gpu.programs import capture_program, draw_program
-from slefejax.tessellator import check_spacing, highest_level, segments, triangle_counts
-from slefejax.view import View
+from slefejax.gpu.unseen import without_unseen
+from slefejax.tessellator import MOST_LEVEL, Pieces, check_spacing, highest_level, segments, triangle_counts
+from slefejax.view import LARGEST, View
 
 # Software OpenGL numbers the tessellated vertices of a draw call in 16 bits and loses triangles beyond.
 VERTICES_A_DRAW = 65_536
 _HIGHEST_PATCH_NUMBER = 2**24
 _RECORD = 20  # floats a captured triangle, see capture.geom
+_PIECE = 12  # floats a piece, see patch.tesc
 
 Inner = Any  # levels (patches, 2), along u and v
 Outer = Any  # levels (patches, 4), at u=0, v=0, u=1, v=1
@@ -57,11 +59,15 @@ class Triangles:
 class Renderer:
     """Holds the control points on the device and draws them with any levels, from any view.
 
+    Patches with levels past the hardware's limit of 64 are drawn in pieces (``slefejax.tessellator``), which show in
+    nothing: parameters are the patch's, and neighbours meet without a crack. Pieces that are off the screen are left
+    out.
+
     patches : ``(patches, du+1, dv+1, 3)`` or, rational, 4 at the end; sent as float32, relative to the box around
               them, so that a scene far from the origin, or of any size, loses nothing
     device  : from ``open_device``, which is called if it is not given
-    spacing : ``"equal"``: levels are whole numbers; ``"fractional-even"``, ``"fractional-odd"``: any numbers, and
-              vertices move as they change, instead of coming and going
+    spacing : ``"equal"``: levels are whole numbers; ``"fractional-even"``, ``"fractional-odd"``: any numbers up to the
+              limit, and vertices move as they change, instead of coming and going
 
     >>> renderer = Renderer(patches)                                        # doctest: +SKIP
     >>> buffer = renderer.draw(view, factors.inner, factors.edges)          # doctest: +SKIP
@@ -71,15 +77,17 @@ class Renderer:
         check_spacing(spacing)
         self.device, self.spacing = device or open_device(), spacing
         self.device.check_thread()
-        control, self._to_world = _checked(patches)
-        self._count = len(control)
+        self._sent, self._to_world = _checked(patches)
+        control, self._count = self._sent, len(self._sent)
         self._shape = (control.shape[1], control.shape[2], control.shape[3])
         context = self.device.context
         self._control = context.buffer(control.tobytes())
-        self._levels = context.buffer(reserve=24 * self._count)
-        self._numbers = context.buffer(np.arange(self._count, dtype=np.int32).tobytes())
         self._target: tuple[tuple[int, int], Any] | None = None
         self._arrays: dict[str, Any] = {}
+        self._pieces: Any = None
+        self._numbers: Any = None
+        self._room = 0
+        self._make_room(self._count)
 
     def move(self, patches: Patches) -> None:
         """Other control points for the same patches. Raises InputError if there are more or fewer of them."""
@@ -90,7 +98,7 @@ class Renderer:
                 f"patches that move keep their number and degree: {(self._count, *self._shape)}, not {control.shape}"
             )
         self._control.write(control.tobytes())
-        self._to_world = to_world
+        self._sent, self._to_world = control, to_world
 
     def draw(self, view: View, inner: Inner, outer: Outer) -> GBuffer:
         """Draw and read back. Levels as in ``submit``."""
@@ -102,13 +110,14 @@ class Renderer:
 
         inner : ``(patches, 2)`` levels along u and v, whole numbers unless the spacing is fractional
         outer : ``(patches, 4)`` levels at u=0, v=0, u=1, v=1; 0 leaves the patch out
-        Raises InputError for levels of the wrong shape or beyond the device's limit.
+        Past 64 levels must be multiples of the number of pieces; those of ``Factors`` are, ``with_pieces`` makes others
+        so. Raises InputError for levels of the wrong shape, or that cannot be drawn.
         """
         target = self._framebuffer(view)
         target.use()
         self.device.context.enable_only(moderngl.DEPTH_TEST)
         target.clear(0.0, 0.0, -1.0, 1.0, depth=1.0)
-        self._render("draw", draw_program, view, inner, outer)
+        self._render("draw", draw_program, view, self._parts(view, inner, outer))
         self.device.context.finish()
         self.device.check_error("drawing patches")
 
@@ -121,22 +130,25 @@ class Renderer:
         return GBuffer(samples[..., 0], samples[..., 1], samples[..., 2].astype(np.int32), samples[..., 3])
 
     def capture(self, view: View, inner: Inner, outer: Outer) -> Triangles:
-        """The triangles that the tessellator makes for these levels, with their clip-space positions."""
-        inner, outer = self._checked_levels(inner, outer)
+        """The triangles that the tessellator makes for these levels, with their clip-space positions.
+
+        As when drawing, without pieces of patches that are off the screen.
+        """
+        parts = self._parts(view, inner, outer)
         context = self.device.context
-        expected = int(triangle_counts(inner, outer, self.spacing).sum())
+        expected = int(triangle_counts(parts.inner, parts.outer, self.spacing).sum())
         counter = context.buffer(np.zeros(1, np.uint32).tobytes())
         records = context.buffer(reserve=4 * _RECORD * max(1, expected))
         counter.bind_to_storage_buffer(2)
         records.bind_to_storage_buffer(3)
         self._framebuffer(view).use()
         context.enable_only(moderngl.RASTERIZER_DISCARD)
-        self._render("capture", capture_program, view, inner, outer)
+        self._render("capture", capture_program, view, parts)
         context.enable_only(moderngl.NOTHING)
         count = int(np.frombuffer(counter.read(), np.uint32)[0])
         self.device.check_error("capturing triangles")
         if count != expected:
-            raise RuntimeError(f"{self.device.renderer} made {count} triangles where OpenGL prescribes {expected}")
+            raise OpenGLError(f"{self.device.renderer} made {count} triangles where OpenGL prescribes {expected}")
         data = np.frombuffer(records.read(), np.float32).reshape(-1, _RECORD)[:count]
         counter.release()
         records.release()
@@ -145,23 +157,48 @@ class Renderer:
 
     def release(self) -> None:
         """Free what lies on the device; the renderer cannot draw any more."""
-        arrays, self._arrays = self._arrays, {}
-        for thing in (*arrays.values(), self._control, self._levels, self._numbers):
-            thing.release()
+        self._release_arrays()
+        self._control.release()
         self._release_target()
 
-    def _render(self, name: str, make_program: Any, view: View, inner: Inner, outer: Outer) -> None:
+    def _to_clip(self, view: View) -> np.ndarray:
+        return np.asarray(view.world_to_clip, np.float64) @ self._to_world
+
+    def _parts(self, view: View, inner: Inner, outer: Outer) -> Pieces:
+        """What is to be drawn."""
         self.device.check_thread()
         inner, outer = self._checked_levels(inner, outer)
+        return without_unseen(Pieces.of(inner, outer, self.spacing), self._sent, self._to_clip(view))
+
+    def _render(self, name: str, make_program: Any, view: View, parts: Pieces) -> None:
+        self._make_room(len(parts.patch))
         array = self._array(name, make_program)
-        to_clip = np.asarray(view.world_to_clip, np.float64) @ self._to_world
-        array.program["to_clip"].write(to_clip.astype(np.float32).T.tobytes())
-        self._levels.write(np.hstack([inner, outer]).astype(np.float32).tobytes())
+        array.program["to_clip"].write(self._to_clip(view).astype(np.float32).T.tobytes())
+        array.program["in_pieces"] = bool(np.any(parts.along > 1))
+        records = np.zeros((len(parts.patch), _PIECE), np.float32)
+        records[:, :11] = np.column_stack(parts)
+        self._pieces.write(records.tobytes())
         self._control.bind_to_storage_buffer(0)
-        self._levels.bind_to_storage_buffer(1)
+        self._pieces.bind_to_storage_buffer(1)
         self.device.context.patch_vertices = 1
-        for first, count in draw_ranges(segments(inner, self.spacing), segments(outer, self.spacing)):
+        for first, count in draw_ranges(segments(parts.inner, self.spacing), segments(parts.outer, self.spacing)):
             array.render(moderngl.PATCHES, vertices=count, first=first)
+
+    def _make_room(self, count: int) -> None:
+        """Buffers for so many pieces."""
+        if count > self._room:
+            self._release_arrays()
+            context = self.device.context
+            self._pieces = context.buffer(reserve=4 * _PIECE * count)
+            self._numbers = context.buffer(np.arange(count, dtype=np.int32).tobytes())
+            self._room = count
+
+    def _release_arrays(self) -> None:
+        arrays, self._arrays, self._room = self._arrays, {}, 0
+        for thing in (*arrays.values(), self._pieces, self._numbers):
+            if thing is not None:
+                thing.release()
+        self._pieces = self._numbers = None
 
     def _array(self, name: str, make_program: Any) -> Any:
         if name not in self._arrays:
@@ -200,9 +237,8 @@ class Renderer:
             self._target = None
 
     def _checked_levels(self, inner: Inner, outer: Outer) -> tuple[Inner, Outer]:
-        inner, outer = np.asarray(inner), np.asarray(outer)
-        if self.spacing == "equal" and not all(np.issubdtype(levels.dtype, np.integer) for levels in (inner, outer)):
-            raise InputError("levels must be whole numbers: round them up")
+        numbers = whole_numbers if self.spacing == "equal" else real_numbers
+        inner, outer = numbers(inner, "levels"), numbers(outer, "levels")
         if inner.shape != (self._count, 2) or outer.shape != (self._count, 4):
             raise InputError(
                 f"levels for {self._count} patches must have shapes ({self._count}, 2) and ({self._count}, 4),"
@@ -211,7 +247,9 @@ class Renderer:
         if not min(inner.min(), outer.min()) >= 0:
             raise InputError("levels must be numbers and not negative: 0 leaves a patch out")
         levels = np.maximum(inner.max(axis=1), outer.max(axis=1))
-        check_levels(levels, highest_level(self.spacing, self.device.highest_level))
+        # vertices move with fractional spacing, as those of pieces could not
+        limit = MOST_LEVEL if self.spacing == "equal" else highest_level(self.spacing, self.device.highest_level)
+        check_levels(levels, limit)
         return inner, outer
 
 
@@ -221,6 +259,8 @@ def _checked(patches: Patches) -> tuple[np.ndarray, np.ndarray]:
     bad = np.flatnonzero(~np.isfinite(patches).all(axis=(1, 2, 3)))
     if bad.size:
         raise InputError(f"patch {bad[0]} (counted from 0) has control points that are not finite numbers")
+    if not np.max(np.abs(patches)) < LARGEST:
+        raise InputError(f"control points must be below {LARGEST:g} to be drawn: scale the scene down")
     if len(patches) >= _HIGHEST_PATCH_NUMBER:
         raise InputError(f"the G-buffer can number {_HIGHEST_PATCH_NUMBER - 1} patches, not {len(patches)}")
     return _in_unit_box(patches)
@@ -249,14 +289,14 @@ def _in_unit_box(patches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return sent, to_world
 
 
-def check_levels(levels: Real[np.ndarray, "patches"], highest: int) -> None:
-    """Raise InputError if a patch's level is beyond what the tessellator can do."""
+def check_levels(levels: Real[np.ndarray, "patches"], highest: int = MOST_LEVEL) -> None:
+    """Raise InputError if a patch's level is beyond what can be drawn."""
     beyond = np.flatnonzero(levels > highest)
     if beyond.size:
         worst = beyond[np.argmax(levels[beyond])]
         raise InputError(
-            f"{beyond.size} of {len(levels)} patches need a tessellation factor above the hardware's limit of {highest}"
-            f" (patch {worst}, counted from 0: {levels[worst]:g}):"
+            f"{beyond.size} of {len(levels)} patches need a tessellation factor above {highest}, the most that can be"
+            f" drawn (patch {worst}, counted from 0: {levels[worst]:g}):"
             " move the camera away, shrink the picture or raise the tolerance"
         )
 

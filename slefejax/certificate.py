@@ -29,7 +29,7 @@ _BATCH = 2**16
 class Certificate:
     """The patches, view and tolerances that certified factors are computed from.
 
-    patches    : ``(patches, du+1, dv+1, dim)``, concrete
+    patches    : ``(patches, du+1, dv+1, dim)``, concrete, relative to the projection's origin
     tolerances : in pixels, and of depth or None
     tiles      : along each side of a patch
     pattern    : of the tessellator

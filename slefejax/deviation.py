@@ -12,9 +12,11 @@ from jaxtyping import Float, Int
 
 from slefejax.arguments import Patches, check_patches, is_whole
 from slefejax.bezier import evaluate_patch
+from slefejax.edges import check_edge_numbers
 from slefejax.errors import InputError
 
 _PLACES = 33  # along each side
+_AT_A_TIME = 16  # patches
 _NEAREST = 16  # steps towards the nearest point
 _FLAT = 1e-9  # sine of an angle between tangents: below, there is no tangent plane
 
@@ -29,7 +31,7 @@ def surface_distance(patches: Patches, given: Patches, places: int = _PLACES) ->
     patches, given = _alike(patches, given)
     if not is_whole(places, 2):
         raise InputError(f"places must be a whole number of at least 2, not {places!r}")
-    return np.sqrt(np.max(np.asarray(_distances_jit(patches, given, places, _NEAREST)), axis=1))
+    return np.sqrt(np.asarray(_largest_jit(patches, given, places, _NEAREST)))
 
 
 def side_turns(patches: Patches, given: Patches, places: int = _PLACES) -> Float[np.ndarray, "patches"]:
@@ -60,7 +62,7 @@ def edge_turns(patches: Patches, edge_numbers: Int[np.ndarray, "patches 4"]) -> 
     sides = [_points_and_normals(control, u, v) for u, v in _sides(_PLACES)]
     points, normals = (np.moveaxis(np.asarray([side[k] for side in sides]), 1, -1) for k in (0, 1))
     by_number: dict[int, list[tuple[int, int]]] = {}
-    for (patch, side), number in np.ndenumerate(edge_numbers):
+    for (patch, side), number in np.ndenumerate(check_edge_numbers(edge_numbers, len(control))):
         by_number.setdefault(int(number), []).append((side, patch))
     turns = [_turn(points, normals, *pair) for pair in by_number.values() if len(pair) == 2]
     return np.array(turns, np.float64)
@@ -107,7 +109,19 @@ def _unfolded(patches: Any, given: Any, places: int) -> Any:
 
 
 _unfolded_jit = partial(jax.jit, static_argnums=2)(_unfolded)
-_distances_jit = partial(jax.jit, static_argnums=(2, 3))(distance_squares)
+
+
+@partial(jax.jit, static_argnums=(2, 3))
+def _largest_jit(patches: Any, given: Any, places: int, steps: int) -> Any:
+    """The largest square of a distance of each patch; few patches at a time, as there are many places."""
+
+    def of_one(both: tuple[Any, Any]) -> Any:
+        one, other = both
+        return jnp.max(distance_squares(one[None], other[None], places, steps))
+
+    return jax.lax.map(of_one, (patches, given), batch_size=_AT_A_TIME)
+
+
 _turns_jit = partial(jax.jit, static_argnums=2)(turn_squares)
 
 

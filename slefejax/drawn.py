@@ -10,8 +10,8 @@ from jaxtyping import Float, Int
 from slefejax.bezier import restrict
 from slefejax.certificate import Certificate
 from slefejax.fewest import fewest_triangles
-from slefejax.rings import ALONG, Pattern, safe_levels
-from slefejax.tessellator import HIGHEST_LEVEL
+from slefejax.rings import Pattern, safe_levels
+from slefejax.tessellator import HIGHEST_LEVEL, OWN_AXIS, pieces_along
 
 _WORSE = 1.4  # pairs with at most so many times the fewest cells may be chosen
 _AROUND = np.arange(-3, 4)  # levels along v around those that were swept, for every level along u
@@ -33,22 +33,22 @@ def drawn_levels(
     numbers : equal for shared edges (``slefejax.edges``)
 
     The search begins with levels that no grid is too coarse for whatever the other level is, so that they can be raised
-    until rings fit. Where the highest level that can be drawn would not do, patches and their neighbours get what they
-    need by themselves: nothing draws them so.
+    until rings fit. Patches that have to be cut into pieces, their own level or an edge's being too high, stay so.
     """
     pattern = certificate.pattern
     plain = certificate.for_all_boxes(inner)
     choices = _that_keep(certificate, _unequal(certificate, inner) if anisotropic else _raised(inner), plain)
     strips = Strips.of(certificate, choices, widths=8 if anisotropic else 3)
     start, edges = safe_levels(plain, numbers, pattern, strips.longest)
-    drawable = np.all((start > 0) & (start <= HIGHEST_LEVEL), axis=1)
-    free = np.flatnonzero(drawable)
+    seen = np.all(start > 0, axis=1)
+    whole = np.all(pieces_along(start, edges) == 1, axis=1)
+    free = np.flatnonzero(seen & whole)
     if not free.size:
         return start, edges
-    # an edge that a patch beyond the highest level needs finely stays so, and the patches there as they are
-    fixed = np.isin(numbers, numbers[~drawable & (start[:, 0] > 0)])[free]
-    split = np.any(edges[free] > 1, axis=1) | np.any(start[free] > 1, axis=1)
-    first = np.where(split[:, None], np.maximum(start[free], 2), 1)
+    # an edge of a patch in pieces stays as it is, and the patches there
+    fixed = np.isin(numbers, numbers[seen & ~whole])[free]
+    finer = np.any(edges[free] > 1, axis=1) | np.any(start[free] > 1, axis=1)
+    first = np.where(finer[:, None], np.maximum(start[free], 2), 1)
     choices = np.concatenate([first[:, None], choices[free]], axis=1)
     sets = _edge_sets(strips, pattern, choices, free)
     sets[fixed.any(axis=1), 1:] = 0
@@ -108,9 +108,9 @@ def _edge_sets(strips: Strips, pattern: Pattern, choices: Choices, patch: Int[np
     single = np.all(choices == 1, axis=2)
     sets = np.empty((*choices.shape[:2], 4), np.uint64)
     for side in range(4):
-        across = np.maximum(choices[:, :, 1 - ALONG[side]], 2)
+        across = np.maximum(choices[:, :, 1 - OWN_AXIS[side]], 2)
         longest = strips.longest(patch[:, None], np.asarray(side), across)
-        sets[..., side] = pattern.edge_levels(np.maximum(choices[:, :, ALONG[side]], 2), longest)
+        sets[..., side] = pattern.edge_levels(np.maximum(choices[:, :, OWN_AXIS[side]], 2), longest)
         sets[..., side] = np.where(single, np.uint64(1), sets[..., side])
     return sets
 
@@ -132,13 +132,13 @@ class Strips:
         low, high = (np.maximum(x, 2) for x in (choices.min(axis=1), choices.max(axis=1)))
         steps = np.linspace(0.0, 1.0, widths)
         between = np.round(low[:, :, None] + (high - low)[:, :, None] * steps).astype(np.int64)
-        across = between[:, 1 - ALONG]
+        across = between[:, 1 - OWN_AXIS]
         seen = np.flatnonzero(np.all(choices[:, 0] > 0, axis=1))
         length = np.zeros(across.shape)
         for at in range(0, len(seen), _BLOCK):
             own = seen[at : at + _BLOCK]
             for side in range(4):
-                along = ALONG[side]
+                along = OWN_AXIS[side]
                 nets = _strips(certificate.patches[own], side, certificate.pattern.cells(across[own, side]))
                 flat = nets.reshape(-1, *nets.shape[2:])
                 shortest, longest = 0.25 / high[own, along], np.minimum(1.0, 4.0 / low[own, along])

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int, Real, Shaped
 
+from slefejax.arguments import whole_numbers
 from slefejax.errors import InputError
 
 EDGES = ("u=0", "v=0", "u=1", "v=1")
@@ -75,8 +76,8 @@ def _number_by_first_use(rows: np.ndarray) -> np.ndarray:
 
 def check_edge_numbers(numbers: Any, count: int) -> Int[np.ndarray, "patches 4"]:
     """The numbers of edges as an array, or InputError."""
-    numbers = np.asarray(numbers)
-    if numbers.shape != (count, 4) or not np.issubdtype(numbers.dtype, np.integer) or np.any(numbers < 0):
+    numbers = whole_numbers(numbers, "edge_numbers")
+    if numbers.shape != (count, 4) or np.any(numbers < 0):
         raise InputError(
             f"edge_numbers must be whole numbers from 0 on, ({count}, 4), equal for shared edges, not"
             f" {numbers.dtype} {numbers.shape}: shared_edges makes them"

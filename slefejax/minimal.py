@@ -17,6 +17,7 @@ from jaxtyping import Int
 from slefejax.arguments import Number, Patches, check_patches, check_positive, is_whole
 from slefejax.errors import InputError
 from slefejax.supremum import Surface, in_batches, worst_points
+from slefejax.tessellator import MOST_LEVEL
 from slefejax.view import View
 
 _FIRST = 12  # the factor whose worst points are the first witnesses, and at which a patch must be seen to count
@@ -55,8 +56,8 @@ def minimal_factors(
     """
     patches = check_patches(patches)
     check_positive("tolerance", tolerance)
-    if not is_whole(limit, 1):
-        raise InputError(f"the limit must be a whole number of at least 1, not {limit!r}")
+    if not is_whole(limit, 1) or limit > MOST_LEVEL:
+        raise InputError(f"the limit must be a whole number from 1 to {MOST_LEVEL}, not {limit!r}")
     diagonal = np.repeat(np.arange(1, limit + 1)[:, None], 2, axis=1)
     return _Search(np.asarray(patches), view, float(tolerance), diagonal).run(progress)[:, 0]
 

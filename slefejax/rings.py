@@ -17,10 +17,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
 
 from slefejax.errors import InputError
-from slefejax.tessellator import HIGHEST_LEVEL
+from slefejax.tessellator import GRID, HIGHEST_LEVEL, OWN_AXIS, pieces_along, with_pieces
 
 UNIT = 2**16  # of the table in the file
-ALONG = np.array([1, 0, 1, 0])  # the inner level along the edges u=0, v=0, u=1, v=1
 
 Pairs = Int[np.ndarray, "patches 2"]
 Edges = Int[np.ndarray, "patches 4"]
@@ -61,13 +60,14 @@ class Pattern:
         return np.where(widths > 0, widths, 1.0).min(axis=1) / self.cell
 
     def cells(self, levels: Int[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-        """The widest cell for levels; 1/n beyond what a tessellator can draw."""
+        """The widest cell for levels; past 64, where patches are cut and lines are placed with 24 bits, about 1/n."""
         drawn = self.cell[np.minimum(levels, HIGHEST_LEVEL)]
-        return np.where(levels <= HIGHEST_LEVEL, drawn, 1.0 / np.maximum(levels, 1))
+        return np.where(levels <= HIGHEST_LEVEL, drawn, 1.0 / np.maximum(levels, 1) + GRID)
 
     def narrowest(self, levels: Int[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-        """The narrowest cell over the widest one; 1 beyond what a tessellator can draw."""
-        return np.where(levels <= HIGHEST_LEVEL, self.evenness[np.minimum(levels, HIGHEST_LEVEL)], 1.0)
+        """The narrowest cell over the widest one."""
+        beyond = 1.0 - 2.0 * GRID * levels
+        return np.where(levels <= HIGHEST_LEVEL, self.evenness[np.minimum(levels, HIGHEST_LEVEL)], beyond)
 
     def levels_for(self, factors: Float[np.ndarray, "*shape"]) -> Int[np.ndarray, "*shape"]:
         """The smallest levels whose cells are no wider than 1/factor."""
@@ -86,8 +86,8 @@ class Pattern:
         With the level of the grid itself the ring is part of the grid: that one is always among them.
         """
         own, keys, sets = self._sets
-        # a little less, so that rounding never lets a longer triangle in
-        place = np.searchsorted(keys, inner + 0.5 * longest - 1e-12, side="right")
+        # a little less: in a picture with patches in pieces all vertices are placed better than the pattern says
+        place = np.searchsorted(keys, inner + 0.5 * (longest - 2.0 / UNIT), side="right")
         return sets[place] | own[inner]
 
     @cached_property
@@ -124,42 +124,52 @@ def safe_levels(inner: Pairs, numbers: Edges, pattern: Pattern, longest: Longest
 
     An edge starts at the larger of its neighbours' levels. Where a ring reaches too far, a patch with fewer cells
     than its edge has pieces gets more cells, and an edge with fewer pieces than the patch has cells gets more pieces.
-    Where both are equal the ring is part of the grid, so this ends. Levels beyond 64 are left as they are: nothing
-    draws them.
+    Where both are equal the ring is part of the grid, so this ends. Levels beyond 64 are what pieces of the patch can
+    have (``slefejax.tessellator``), each of them with a ring like that of a patch.
     """
-    inner = inner.copy()
     levels = np.zeros(numbers.max() + 1, np.int64)
-    np.maximum.at(levels, numbers.ravel(), inner[:, ALONG].ravel())
+    np.maximum.at(levels, numbers.ravel(), inner[:, OWN_AXIS].ravel())
     drawn = np.all(inner > 0, axis=1)
-    patch, side = np.nonzero(np.broadcast_to(drawn[:, None], numbers.shape))
-    while patch.size:
-        failing = _failing(inner, levels[numbers], patch, side, pattern, longest)
-        patch, side = patch[failing], side[failing]
-        along = ALONG[side]
-        n, m = inner[patch, along], levels[numbers[patch, side]]
-        more_cells = (n < m) | (n == 1)
-        np.maximum.at(inner, (patch[more_cells], along[more_cells]), _next_inner(n, m, pattern)[more_cells])
-        np.maximum.at(levels, numbers[patch, side][~more_cells], n[~more_cells])
-        # whoever shares something that has changed is looked at again
-        touched = np.zeros(len(inner), bool)
-        touched[patch] = True
-        touched |= np.isin(numbers, numbers[patch, side][~more_cells]).any(axis=1)
-        patch, side = np.nonzero(np.broadcast_to((drawn & touched)[:, None], numbers.shape))
-    return inner, np.where(drawn[:, None], levels[numbers], 0)
+    inner, edges = with_pieces(inner, np.where(drawn[:, None], levels[numbers], 0), numbers)
+    changed = drawn
+    while changed.any():
+        patch, side = np.nonzero(np.broadcast_to(changed[:, None], numbers.shape))
+        failing = _failing(inner, edges, patch, side, pattern, longest)
+        raised = _raised(inner, edges, numbers, patch[failing], side[failing], pattern)
+        changed = np.any(raised[0] != inner, axis=1) | np.any(raised[1] != edges, axis=1)
+        inner, edges = raised
+    return inner, edges
 
 
 def _failing(
     inner: Pairs, edges: Edges, patch: np.ndarray, side: np.ndarray, pattern: Pattern, longest: Longest
 ) -> Bool[np.ndarray, "sides"]:
     """Which rings hold a triangle that is too long."""
-    along = ALONG[side]
-    n, m, across = np.maximum(inner[patch, along], 2), edges[patch, side], inner[patch, 1 - along]
-    plain = np.all(inner[patch] == 1, axis=1) & np.all(edges[patch] == 1, axis=1)
-    drawable = np.flatnonzero(~plain & (np.maximum(n, m) <= HIGHEST_LEVEL))
-    allowed = longest(patch[drawable], side[drawable], np.maximum(across[drawable], 2))
-    failing = np.zeros(len(patch), bool)
-    failing[drawable] = pattern.edge_levels(n[drawable], allowed) >> (m[drawable] - 1).astype(np.uint64) & 1 == 0
+    axis, along = OWN_AXIS[side], pieces_along(inner[patch], edges[patch])
+    own, rim = inner[patch] // along, edges[patch] // along[:, OWN_AXIS]
+    ringed = np.flatnonzero(np.any(own > 1, axis=1) | np.any(rim > 1, axis=1))
+    axis, patch, side = axis[ringed], patch[ringed], side[ringed]
+    across = np.maximum(inner[patch, 1 - axis], 2)
+    allowed = longest(patch, side, across) * along[ringed, axis]
+    sets = pattern.edge_levels(np.maximum(own[ringed, axis], 2), allowed)
+    failing = np.zeros(len(along), bool)
+    failing[ringed] = sets >> (rim[ringed, side] - 1).astype(np.uint64) & 1 == 0
     return failing
+
+
+def _raised(
+    inner: Pairs, edges: Edges, numbers: Edges, patch: np.ndarray, side: np.ndarray, pattern: Pattern
+) -> tuple[Pairs, Edges]:
+    """More cells, or more pieces of an edge, where a ring reaches too far."""
+    axis = OWN_AXIS[side]
+    along = pieces_along(inner[patch], edges[patch])[np.arange(len(patch)), axis]
+    n, m = inner[patch, axis] // along, edges[patch, side] // along
+    more_cells = (n < m) | (n == 1)
+    inner, levels = inner.copy(), np.zeros(numbers.max() + 1, np.int64)
+    np.maximum.at(levels, numbers.ravel(), edges.ravel())
+    np.maximum.at(inner, (patch[more_cells], axis[more_cells]), (_next_inner(n, m, pattern) * along)[more_cells])
+    np.maximum.at(levels, numbers[patch, side][~more_cells], (n * along)[~more_cells])
+    return with_pieces(inner, np.where(edges > 0, levels[numbers], 0), numbers)
 
 
 def _next_inner(n: np.ndarray, m: np.ndarray, pattern: Pattern) -> np.ndarray:

@@ -34,7 +34,7 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, QhullError
 from trimesh.bounds import oriented_bounds, oriented_bounds_2D
 
-from slefejax.arguments import check_segments, floating
+from slefejax.arguments import check_choice, check_segments, floating
 from slefejax.bezier import restrict, second_differences
 from slefejax.errors import InputError
 from slefejax.optimum import optimal_curve, optimal_patch
@@ -94,8 +94,7 @@ def _function(coefficients: Any, axes: int) -> np.ndarray:
 
 
 def _pick(method: str, methods: dict[str, Callable[..., Enclosure]], what: str) -> Callable[..., Enclosure]:
-    if method not in methods:
-        raise InputError(f"there is no bound {method!r} for {what}: choose one of {', '.join(methods)}")
+    check_choice(f"bound of {what}", method, methods)
     return methods[method]
 
 

@@ -24,9 +24,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from slefejax import layout
-from slefejax.arguments import Patches, check_patches
+from slefejax.arguments import Patches, check_patches, whole_numbers
 from slefejax.bezier import bernstein, combine
 from slefejax.errors import InputError
+from slefejax.tessellator import MOST_LEVEL
 from slefejax.view import View, homogeneous
 
 _LATTICE = 10  # q: intervals of the samples' lattice along each side
@@ -81,11 +82,11 @@ def worst_points(patches: Patches, factors: Any, view: View) -> Supremum:
 
 def level_pairs(factors: Any, count: int) -> Int[np.ndarray, "patches 2"]:
     """Levels along u and v as whole numbers ``(patches, 2)``, or InputError."""
-    levels = np.asarray(getattr(factors, "inner", factors))
+    levels = whole_numbers(getattr(factors, "inner", factors), "factors")
     if levels.shape not in ((count,), (count, 2)):
         raise InputError(f"factors of {count} patches must have shape ({count},) or ({count}, 2), not {levels.shape}")
-    if not (np.issubdtype(levels.dtype, np.integer) and levels.min(initial=0) >= 0):
-        raise InputError("factors must be whole numbers, not negative: round them up")
+    if levels.min(initial=0) < 0 or levels.max(initial=0) > MOST_LEVEL:
+        raise InputError(f"factors must be from 0 to {MOST_LEVEL}, which is the most that is drawn")
     return np.stack([levels, levels], axis=1) if levels.ndim == 1 else levels
 
 

@@ -1,20 +1,33 @@
-"""How many triangles OpenGL's tessellator makes of a quad patch.
+"""How many triangles OpenGL's tessellator makes of a quad patch, and how patches are cut that need more than it can.
 
 Levels: ``inner`` along u and v, ``outer`` on the edges u=0, v=0, u=1, v=1. A patch with an outer level of 0 is dropped.
 Each level becomes a number of segments (``segments``); with equal spacing levels are whole numbers and that number
 itself. All six of 1 give two triangles; otherwise an inner one of 1 acts as the next that there is (OpenGL 4.6 core,
 sections 11.2.2 and 11.2.2.2). Inside lies a grid of inner_u - 2 by inner_v - 2 cells; a ring of triangles joins its rim
 to the edges.
+
+Past level 64 a patch is cut in its domain, along u into the smallest power of two of equal *pieces* with which the
+inner level along u and the levels of the edges v=0 and v=1 are at most 64 a piece, along v likewise (MATH.md, section
+3). Each piece is tessellated by itself, with the patch's levels over the number of pieces, so these have to be whole:
+the levels along an axis are multiples of the number of pieces along it (``with_pieces`` sees to that). Vertices lie at
+k/n of the whole patch's levels n, whatever the pieces: a neighbour that is cut otherwise, or not at all, has the same
+ones along the shared edge.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float, Int, Real
 
+from slefejax.arguments import check_choice
 from slefejax.errors import InputError
 
 HIGHEST_LEVEL = 64  # what OpenGL guarantees, and what drivers offer
+MOST_LEVEL = 256 * HIGHEST_LEVEL  # that can be drawn, in pieces: vertices are placed with 24 bits
+GRID = 2.0**-24  # places of vertices of patches in pieces are multiples of that
+OWN_AXIS = np.array([1, 0, 1, 0])  # the axis along which the edges u=0, v=0, u=1, v=1 run
 SPACINGS = ("equal", "fractional-even", "fractional-odd")
 
 Inner = Int[np.ndarray, "patches 2"]
@@ -23,8 +36,7 @@ Outer = Int[np.ndarray, "patches 4"]
 
 def check_spacing(spacing: str) -> None:
     """Raise InputError for a spacing that OpenGL does not have."""
-    if spacing not in SPACINGS:
-        raise InputError(f"there is no spacing {spacing!r}: choose one of {', '.join(SPACINGS)}")
+    check_choice("spacing", spacing, SPACINGS)
 
 
 def highest_level(spacing: str, limit: int = HIGHEST_LEVEL) -> int:
@@ -82,24 +94,116 @@ def levels_for(factors: Real[np.ndarray, "*shape"], spacing: str) -> Real[np.nda
     return np.where(factors > 0, found, 0.0)
 
 
-def _effective(inner: Inner, outer: Outer, spacing: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(inner levels that act, whether a patch is a single quad, whether it is drawn)."""
-    drawn = np.all(outer > 0, axis=1)
-    single = drawn & np.all(inner <= 1, axis=1) & np.all(outer == 1, axis=1)
-    return np.maximum(inner, 3 if spacing == "fractional-odd" else 2), single, drawn
+def pieces(levels: Int[np.ndarray, "*shape"]) -> Int[np.ndarray, "*shape"]:
+    """The smallest powers of two with levels of at most 64 a piece.
+
+    >>> pieces(np.array([0, 64, 65, 128, 500])).tolist()
+    [1, 1, 2, 2, 8]
+    """
+    above = (np.maximum(levels, 1) - 1) // HIGHEST_LEVEL
+    return np.int64(1) << np.frexp(above)[1].astype(np.int64)
+
+
+def pieces_along(inner: Inner, outer: Outer) -> Int[np.ndarray, "patches 2"]:
+    """Into how many pieces patches are cut along u and v (module docstring); 1 for those that are not drawn."""
+    longest = np.stack([np.maximum(inner[:, a], outer[:, OWN_AXIS == a].max(axis=1)) for a in (0, 1)], axis=1)
+    return np.where(np.all(outer > 0, axis=1)[:, None], pieces(longest), 1)
+
+
+def with_pieces(inner: Inner, outer: Outer, numbers: Outer) -> tuple[Inner, Outer]:
+    """Levels raised to multiples of the numbers of pieces; those of patches and edges up to 64 stay as they are.
+
+    numbers : equal for shared edges (``slefejax.edges``), which stay equal: they get multiples of what the neighbour
+              with more pieces needs
+
+    >>> inner, outer = np.array([[130, 10], [20, 20]]), np.array([[10, 130, 20, 130], [20, 20, 20, 20]])
+    >>> [x.tolist() for x in with_pieces(inner, outer, np.array([[0, 1, 2, 3], [2, 4, 5, 6]]))]
+    [[[132, 10], [20, 20]], [[10, 132, 20, 132], [20, 20, 20, 20]]]
+    """
+    while True:
+        along = pieces_along(inner, outer)
+        if np.all(along == 1):
+            return inner, outer
+        # level 1 in a piece acts as 2 inside, and not on the edges between pieces
+        cut = np.any(along > 1, axis=1) & (np.any(inner > along, axis=1) | np.any(outer > along[:, OWN_AXIS], axis=1))
+        least = np.where(cut[:, None], 2 * along, 0)
+        most = np.ones(numbers.max() + 1, np.int64)
+        np.maximum.at(most, numbers.ravel(), along[:, OWN_AXIS].ravel())
+        inner = -(-np.maximum(inner, least) // along) * along
+        outer = -(-outer // most[numbers]) * most[numbers]
+        # who meets a neighbour of more than 64 times as many pieces may need more of them
+        if np.array_equal(along, pieces_along(inner, outer)):
+            return inner, outer
+
+
+class Pieces(NamedTuple):
+    """What the tessellator is given: pieces of patches, patch after patch.
+
+    patch : whose they are;  place, along : which piece along u and v, of how many;  inner, outer : their own levels
+    """
+
+    patch: Int[np.ndarray, "pieces"]
+    place: Int[np.ndarray, "pieces 2"]
+    along: Int[np.ndarray, "pieces 2"]
+    inner: Real[np.ndarray, "pieces 2"]
+    outer: Real[np.ndarray, "pieces 4"]
+
+    @staticmethod
+    def of(
+        inner: Real[np.ndarray, "patches 2"], outer: Real[np.ndarray, "patches 4"], spacing: str = "equal"
+    ) -> Pieces:
+        """With fractional spacing, whose vertices move, patches stay whole.
+
+        Raises InputError for levels past 64 that are no multiples (``with_pieces`` makes them so).
+        """
+        if spacing != "equal":
+            ones = np.ones((len(inner), 2), np.int64)
+            return Pieces(np.arange(len(inner)), 0 * ones, ones, inner, outer)
+        along = pieces_along(inner, outer)
+        _check_multiples(inner, outer, along)
+        total = along.prod(axis=1)
+        patch = np.repeat(np.arange(len(inner)), total)
+        index = np.arange(len(patch)) - np.repeat(np.cumsum(total) - total, total)
+        count = along[patch]
+        place = np.stack([index // count[:, 1], index % count[:, 1]], axis=1)
+        own = inner[patch] // count
+        # between pieces of a patch there is its own grid
+        rim = np.concatenate([place == 0, place == count - 1], axis=1)
+        return Pieces(patch, place, count, own, np.where(rim, outer[patch] // count[:, OWN_AXIS], own[:, OWN_AXIS]))
+
+
+def _check_multiples(inner: Inner, outer: Outer, along: Int[np.ndarray, "patches 2"]) -> None:
+    wrong = np.any(inner % along != 0, axis=1) | np.any(outer % along[:, OWN_AXIS] != 0, axis=1)
+    wrong &= np.any(along > 1, axis=1)
+    if wrong.any():
+        worst = int(np.argmax(wrong))
+        raise InputError(
+            f"levels past {HIGHEST_LEVEL} are drawn in pieces: those of patch {worst} (counted from 0) must be"
+            f" multiples of {along[worst, 0]} along u and of {along[worst, 1]} along v (slefejax.with_pieces makes them"
+            f" so), not inner {inner[worst].tolist()}, outer {outer[worst].tolist()}"
+        )
 
 
 def triangle_counts(
     inner: Real[np.ndarray, "patches 2"], outer: Real[np.ndarray, "patches 4"], spacing: str = "equal"
 ) -> Int[np.ndarray, "patches"]:
-    """Triangles of every patch.
+    """Triangles of every patch, of all of its pieces where it is cut (equal spacing only).
+
+    Raises InputError for levels past 64 that are no multiples of the number of pieces.
 
     >>> inner, outer = np.array([[3, 3], [1, 1], [2, 2]]), np.array([[3, 3, 3, 3], [1, 1, 1, 1], [0, 2, 2, 2]])
     >>> triangle_counts(inner, outer).tolist()
     [18, 2, 0]
     """
     inner, outer = segments(inner, spacing), segments(outer, spacing)
-    acting, single, drawn = _effective(inner, outer, spacing)
-    core = 2 * (acting[:, 0] - 2) * (acting[:, 1] - 2)
-    ring = outer.sum(axis=1) + 2 * (acting - 2).sum(axis=1)
-    return np.where(drawn, np.where(single, 2, core + ring), 0)
+    along = pieces_along(inner, outer) if spacing == "equal" else np.ones_like(inner)
+    _check_multiples(inner, outer, along)
+    own = inner // along
+    acting = np.maximum(own, 3 if spacing == "fractional-odd" else 2) - 2
+    # a piece on which nothing is cut is two triangles; next to an edge with more cuts there is a row of other ones
+    rows = outer > along[:, OWN_AXIS]
+    plain = np.maximum(along - rows[:, :2] - rows[:, 2:], 0).prod(axis=1) * np.all(own <= 1, axis=1)
+    core = 2 * (acting.prod(axis=1) + acting.sum(axis=1))
+    cuts = outer.sum(axis=1) + 2 * ((along - 1) * inner[:, ::-1]).sum(axis=1)
+    counts = (along.prod(axis=1) - plain) * core + cuts - 2 * plain
+    return np.where(np.all(outer > 0, axis=1), counts, 0)

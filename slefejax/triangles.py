@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from slefejax import layout
-from slefejax.arguments import Patches, check_patches
+from slefejax.arguments import Patches, check_patches, real_numbers, whole_numbers
 from slefejax.bezier import evaluate_patch
 from slefejax.errors import InputError
 from slefejax.supremum import Supremum, Surface, distance, largest_of_each
@@ -63,7 +63,11 @@ def worst_triangle_points(patches: Patches, triangles: Any, view: View) -> Supre
 
 
 def _checked(triangles: Any, count: int) -> tuple[np.ndarray, np.ndarray]:
-    patch, parameters = np.asarray(triangles.patch), np.asarray(triangles.parameters, np.float64)
+    try:
+        patch, parameters = triangles.patch, triangles.parameters
+    except AttributeError:
+        raise InputError(f"triangles are what a draw captured, with patch and parameters, not {triangles!r}") from None
+    patch, parameters = whole_numbers(patch, "patch numbers"), real_numbers(parameters, "parameters")
     if patch.ndim != 1 or parameters.shape != (len(patch), 3, 2):
         raise InputError(
             f"triangles need patch numbers (triangles,) and parameters (triangles, 3, 2), not {patch.shape} and"
@@ -73,7 +77,7 @@ def _checked(triangles: Any, count: int) -> tuple[np.ndarray, np.ndarray]:
         raise InputError(f"triangles name patches {patch.min()} to {patch.max()}, but there are {count}")
     if not (np.isfinite(parameters).all() and parameters.min(initial=0) >= 0 and parameters.max(initial=0) <= 1):
         raise InputError("the parameters of triangles must lie between 0 and 1")
-    return patch.astype(np.int64), parameters
+    return patch, parameters
 
 
 def _whole_patches(patch: np.ndarray) -> list[slice]:

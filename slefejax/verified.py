@@ -46,9 +46,13 @@ class Nets(NamedTuple):
         depth = 1.0 if tolerances[1] is None else float(tolerances[1])
         scale = 1.0 / np.array([float(tolerances[0]), float(tolerances[0]), depth, 1.0])
         matrix = np.asarray(projection.to_pixels, np.float64) * scale[:, None]
-        points = np.moveaxis(homogeneous(np.asarray(patches, np.float64)), 0, -1)
+        points = projection.relative(np.moveaxis(homogeneous(np.asarray(patches, np.float64)), 0, -1))
         control = np.einsum("rc,uvcp->uvrp", matrix, points)
-        sizes = np.einsum("rc,cp->rp", np.abs(matrix), np.abs(points).max(axis=(0, 1)))
+        largest = np.abs(points).max(axis=(0, 1))
+        if patches.shape[-1] == 4:
+            # coordinates times weights were taken off
+            largest[:3] += np.abs(projection.origin)[:, None] * largest[3]
+        sizes = np.einsum("rc,cp->rp", np.abs(matrix), largest)
         half = np.asarray(projection.half, np.float64) * scale[:3]
         floor = float(projection.near_w) * points[:, :, 3].min(axis=(0, 1))
         return Nets(control, half, _bends(control), sizes, floor, 2 if tolerances[1] is None else 3)

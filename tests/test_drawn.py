@@ -102,7 +102,7 @@ def test_all_smaller_boxes_hold(rng):
     a, b, c = rng.normal(size=(3, 300)) * 400
     view = flat_on(4000.0)
     projection = Projection.of(view)
-    certificate = Certificate(quadratics(a, b, c), projection, (0.5, None), 1, PATTERN)
+    certificate = Certificate(projection.relative(quadratics(a, b, c), axis=-1), projection, (0.5, None), 1, PATTERN)
     levels = certificate.for_all_boxes(np.ones((300, 2), int))
     for more in rng.integers(0, 30, (20, 2)):
         assert exact_errors(a, b, c, np.minimum(levels + more, 64)).max() <= 0.5
@@ -145,7 +145,7 @@ def test_scaled_proofs():
     [
         ({"pattern": "d3d"}, "pattern must be a"),
         ({"edge_numbers": np.zeros((2, 4), int)}, "edge_numbers must be whole numbers"),
-        ({"edge_numbers": np.zeros((1, 4))}, "edge_numbers must be whole numbers"),
+        ({"edge_numbers": np.full((1, 4), 0.5)}, "edge_numbers must be whole numbers"),
         ({"edge_numbers": np.full((1, 4), -1)}, "edge_numbers must be whole numbers"),
         ({"tolerance": 1e-310}, "overflows"),
         ({"depth_tolerance": 1e-310}, "overflows"),

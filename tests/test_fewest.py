@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from slefejax.fewest import fewest_triangles, lowest
-from slefejax.rings import ALONG, direct3d11
-from slefejax.tessellator import triangle_counts
+from slefejax.rings import UNIT, direct3d11
+from slefejax.tessellator import OWN_AXIS, triangle_counts
 
 ROW = np.array([[0, 1, 2, 3], [2, 4, 5, 6], [5, 7, 8, 9]])  # three patches side by side
 FAN = np.array([[0, 1, 2, 3], [0, 4, 5, 6], [0, 7, 8, 9]])  # three on one edge
@@ -22,7 +22,7 @@ def instance(seed: int, count: int, choices: int):
     inner = rng.integers(2, 9, (count, choices, 2))
     inner[:, 0] = 6  # all the same: possible
     longest = rng.uniform(0.0, 0.6, (count, choices, 4))
-    return inner, direct3d11().edge_levels(inner[:, :, ALONG], longest)
+    return inner, direct3d11().edge_levels(inner[:, :, OWN_AXIS], longest)
 
 
 def triangles_of(inner, sets, numbers, choice):
@@ -70,8 +70,10 @@ def test_lowest_level():
 def test_edge_levels_are_those_whose_rings_are_short_enough(rng):
     pattern = direct3d11()
     inner = rng.integers(2, 65, 200)
-    longest = np.concatenate([rng.uniform(0.0, 1.0, 100), pattern.reach[inner[100:], rng.integers(1, 65, 100)] + 1e-9])
+    longest = np.concatenate(
+        [rng.uniform(0.0, 1.0, 100), pattern.reach[inner[100:], rng.integers(1, 65, 100)] + 2 / UNIT + 1e-9]
+    )
     sets = pattern.edge_levels(inner, longest)
     for n, length, allowed in zip(inner, longest, sets, strict=True):
-        expected = [m for m in range(1, 65) if pattern.reach[n, m] <= length or m == n]
+        expected = [m for m in range(1, 65) if pattern.reach[n, m] + 2 / UNIT <= length or m == n]
         assert [m for m in range(1, 65) if int(allowed) >> (m - 1) & 1] == expected

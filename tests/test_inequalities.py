@@ -127,6 +127,10 @@ def test_both_forms_of_nets_are_one_computation(seed, any_triangle):
             certified_factor, tiles=2, any_triangle=any_triangle, unrolled=unrolled, extent=(0.8, 1.25), evenness=0.9
         )
         found.append(
-            jax.jit(lambda p, kernel=kernel: layout.over_chunks(lambda x: kernel(x, projection, 0.5, 1e-3), p))(packed)
+            jax.jit(
+                lambda p, kernel=kernel: layout.over_chunks(
+                    lambda x: kernel(projection.relative(x), projection, 0.5, 1e-3), p
+                )
+            )(packed)
         )
     np.testing.assert_allclose(*found, rtol=1e-9)

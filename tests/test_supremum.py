@@ -124,7 +124,7 @@ def test_points_behind_the_camera():
 
 def test_factors_zero_are_not_drawn_and_bad_ones_are_refused(teapot, main_view):
     assert sampled_error(teapot.patches(), np.zeros(32, int), main_view).tolist() == [0.0] * 32
-    for bad in (np.ones(31, int), np.ones(32), -np.ones(32, int), np.ones((32, 3), int)):
+    for bad in (np.ones(31, int), np.full(32, 1.5), -np.ones(32, int), np.ones((32, 3), int)):
         with pytest.raises(InputError, match="factors"):
             sampled_error(teapot.patches(), bad, main_view)
 

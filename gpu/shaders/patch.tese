@@ -2,17 +2,22 @@
 layout(quads, SPACING, ccw) in;
 
 #include "bezier.glsl"
+#include "place.glsl"
 
 patch in int tessellated_patch;
+patch in ivec4 piece;
+patch in ivec2 inner_levels;
+patch in ivec4 outer_levels;
 uniform mat4 to_clip;
+uniform bool in_pieces;
 
 out vec2 parameter;
 flat out int patch_number;
 
 void main() {
-    parameter = gl_TessCoord.xy;
+    parameter = in_pieces ? place_in_patch(gl_TessCoord.xy, piece, inner_levels, outer_levels) : gl_TessCoord.xy;
     patch_number = tessellated_patch;
     // Undivided and homogeneous: the rasteriser then interpolates the parameters with perspective.
-    precise vec4 position = to_clip * patch_point(tessellated_patch, gl_TessCoord.x, gl_TessCoord.y);
+    precise vec4 position = to_clip * patch_point(tessellated_patch, parameter.x, parameter.y);
     gl_Position = position;
 }

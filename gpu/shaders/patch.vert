@@ -1,8 +1,8 @@
 #version 430
-// One vertex a patch: it carries the patch's number and nothing else. gl_PrimitiveID restarts with every draw.
+// One vertex a piece of a patch: it carries the piece's number and nothing else. gl_PrimitiveID restarts with every draw.
 in int number;
-out int vertex_patch;
+out int vertex_piece;
 
 void main() {
-    vertex_patch = number;
+    vertex_piece = number;
 }

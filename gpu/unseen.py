@@ -1,0 +1,48 @@
+"""Pieces of patches that are off the screen, and need not be drawn."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from slefejax.bezier import restrict
+from slefejax.tessellator import Pieces
+from slefejax.view import homogeneous
+
+_ROUNDING = 1e-5  # of single precision on the device, in sizes of the terms that a position is summed from
+
+
+def without_unseen(
+    parts: Pieces, patches: Float[np.ndarray, "patches nu nv dim"], to_clip: Float[np.ndarray, "4 4"]
+) -> Pieces:
+    """The pieces but those of cut patches whose control points are all outside of one plane of the view volume.
+
+    patches : control points as they are on the device
+    to_clip : from these to clip space
+    """
+    cut = np.flatnonzero(np.any(parts.along > 1, axis=1))
+    if not cut.size:
+        return parts
+    seen = np.ones(len(parts.patch), bool)
+    points = homogeneous(np.asarray(patches, np.float64))
+    seen[cut] = _seen(points, parts.patch[cut], parts.place[cut], parts.along[cut], to_clip)
+    return Pieces(*(x[seen] for x in parts))
+
+
+def _seen(
+    points: np.ndarray, patch: np.ndarray, place: np.ndarray, count: np.ndarray, to_clip: np.ndarray
+) -> np.ndarray:
+    clip = np.moveaxis((points @ to_clip.T)[patch], 0, -1)  # (du+1, dv+1, 4, pieces)
+    size = np.moveaxis(np.abs(points).max(axis=(1, 2))[patch], 0, -1)
+    error = _ROUNDING * (np.abs(to_clip) @ size)
+    for axis in (0, 1):
+        own = restrict(
+            np.swapaxes(clip, 0, axis), place[:, axis] / count[:, axis], (place[:, axis] + 1) / count[:, axis]
+        )
+        clip = np.swapaxes(own, 0, axis)
+    w, inside = clip[:, :, 3], np.ones(len(patch), bool)
+    for a in range(3):
+        for sign in (1.0, -1.0):
+            reach = (w + sign * clip[:, :, a]).max(axis=(0, 1))
+            inside &= reach >= -(error[3] + error[a])
+    return inside
