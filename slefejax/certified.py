@@ -50,7 +50,13 @@ def _derivative(tiles: int, at: tuple, along: tuple) -> tuple:
 def _over_chunks(packed: Any, projection: Any, scales: tuple[Any, Any, Any], tiles: int, unrolled: Any = None) -> Any:
     def kernel(control: Any, projection: Any, tolerance: Any, depth_tolerance: Any, smooth: Any) -> Any:
         return certified_factor(
-            control, projection, tolerance, depth_tolerance, tiles=tiles, unrolled=unrolled, smooth=smooth
+            projection.relative(control),
+            projection,
+            tolerance,
+            depth_tolerance,
+            tiles=tiles,
+            unrolled=unrolled,
+            smooth=smooth,
         )
 
     return layout.over_chunks(kernel, packed, projection, *scales)
@@ -71,11 +77,14 @@ def certified_factor(
 ) -> Float[Array, "lanes"]:
     """A real n >= 1 from which on the bound of docs/certified.md is at most the tolerance; 0 for an unseen patch.
 
+    control    : relative to the projection's origin
+    unrolled   : the form of the nets; None: what suits their degrees
+    smooth     : a temperature (``slefejax.maxima``) for the maxima that make n: over coefficients, both ends of the
+                 picture, coordinates, tiles. Whether a patch is seen, and what it reaches of the picture, stays so
+
     For n and every larger number the bound holds for all triangles that are half of a box of sides extent/n in the
     domain, or of a box with sides of at least ``evenness`` times that, wherever they are visible; with ``any_triangle``
-    for triangles of any shape that lie in the box. ``unrolled``: the form of the nets; None: what suits their degrees.
-    ``smooth``: a temperature (``slefejax.maxima``) for the maxima that make n: over coefficients, both ends of the
-    picture, coordinates, tiles. Whether a patch is seen, and which part of the picture it reaches, stays as it is.
+    for triangles of any shape that lie in the box.
     """
     if unrolled is None:
         unrolled = control.shape[0] * control.shape[1] <= _UNROLLED and control.shape[2] == 3 and smooth is None
@@ -129,7 +138,7 @@ class Screen(NamedTuple):
 
     @staticmethod
     def of(control: Any, projection: Projection, tolerance: Any, depth_tolerance: Any, unrolled: bool) -> Screen:
-        """From control points in the world. Unseen patches may be taken for visible ones, never the other way round."""
+        """From control points relative to the origin. An unseen patch may count as visible, never the reverse."""
         rational = control.shape[2] == 4
         scales = [1.0 / tolerance, 1.0 / tolerance, 1.0 if depth_tolerance is None else 1.0 / depth_tolerance]
         half = [extent * scale for extent, scale in zip(projection.half, scales, strict=True)]
@@ -138,7 +147,14 @@ class Screen(NamedTuple):
         rows = [[row[a] for a in range(4)] for row in matrix]
         x, y, z, w = (nets.each(partial(_image, row), *points) for row in rows)
         largest = [nets.top(nets.each(jnp.abs, coordinate)) for coordinate in points]
-        largest = largest if rational else [*largest, 1.0]
+        if rational:
+            # coordinates times weights were taken off
+            largest = [
+                *(c + jnp.abs(o) * largest[3] for c, o in zip(largest, projection.origin, strict=False)),
+                largest[3],
+            ]
+        else:
+            largest = [*largest, 1.0]
         *own, w_size = (nets.total([jnp.abs(m) * c for m, c in zip(row, largest, strict=True)]) for row in rows)
         sizes = [size + extent * w_size for size, extent in zip(own, half, strict=True)]
         eps = float(jnp.finfo(control.dtype).eps)

@@ -5,43 +5,69 @@ Kernels run with the patches along the last axis (``slefejax.layout``): control 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import reduce
-from itertools import pairwise, product
+from itertools import chain, product
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jax.lax import select
 from jaxtyping import Array, Float
 
+from slefejax import layout, nets
 from slefejax.bezier import bernstein
 from slefejax.maxima import extent, larger, largest, largest_along, smaller
+from slefejax.nets import Net
 from slefejax.slefe import SECOND, Smooth, enclose_at, enclose_patch
 from slefejax.view import View
 
 Grid = Float[Array, "bu bv lanes"]
+_UNROLLED = 25  # boxes
 
 
 class Projection(NamedTuple):
-    """What the estimate needs to know of a view."""
+    """What factors need to know of a view, for points relative to an origin that is near to them or to the eye.
 
-    to_pixels: Any  # (4, 4): world to undivided pixels from the picture's centre, half window depth, W
-    frustum: Any  # (6, 4): linear in the homogeneous world point, all at least 0 inside the view volume
+    Far from the world's origin digits would be lost otherwise, in single precision all of them a million sizes away.
+    """
+
+    to_pixels: Any  # (4, 4): to undivided pixels from the picture's centre, half window depth, W
+    frustum: Any  # (6, 4): linear in the homogeneous point, all at least 0 inside the view volume
     near_w: Any  # W of the near plane
     half: Any  # (3,): half the picture's width and height in pixels, half the window depth
+    origin: Any  # (3,), in the world
 
     @staticmethod
-    def of(view: View) -> Projection:
-        """Left, right, bottom, top, near and far plane from the rows X, Y, Z, W of ``view.world_to_screen``."""
-        matrix = view.world_to_screen
-        x, y, z, w = matrix[0], matrix[1], matrix[2], matrix[3]
-        planes = [x, view.width * w - x, y, view.height * w - y, z, w - z]
-        xp = np if isinstance(matrix, np.ndarray) else jnp
-        clip = view.world_to_clip
+    def of(view: View, dtype: Any = np.float64, origin: Any = None) -> Projection:
+        """Numbers of a type. The frustum: left, right, bottom, top, near and far plane.
+
+        origin : three numbers of that type; None: the eye. What the eye loses in that type is part of the matrices
+        """
+        origin = view.camera.eye.astype(dtype) if origin is None else origin
+        clip = view.to_clip(origin)
+        xp = np if isinstance(clip, np.ndarray) else jnp
         half = (0.5 * view.width, 0.5 * view.height, 0.5)
         scaled = [clip[row] * extent for row, extent in enumerate((*half, 1.0))]
-        return Projection(xp.stack(scaled), xp.stack(planes), view.camera.near_w, xp.asarray(half))
+        planes = [extent * clip[3] + sign * row for row, extent in zip(scaled, half, strict=False) for sign in (1, -1)]
+        parts = (xp.stack(scaled), xp.stack(planes), view.camera.near_w, xp.asarray(half), origin)
+        return Projection(*(xp.asarray(part, dtype) for part in parts))
+
+    def relative(self, points: Any, axis: int = -2) -> Any:
+        """World points relative to the origin (``relative``)."""
+        return relative(points, self.origin, axis)
+
+
+def relative(points: Any, origin: Any, axis: int = -2) -> Any:
+    """Points, three or four homogeneous coordinates along an axis, relative to an origin."""
+    shape = [1] * points.ndim
+    shape[axis] = 3
+    origin = origin.reshape(shape)
+    if points.shape[axis] == 3:
+        return points - origin
+    xp = np if isinstance(points, np.ndarray) else jnp
+    own, weight = xp.split(points, [3], axis=axis)
+    return xp.concatenate([own - weight * origin, weight], axis=axis)
 
 
 def slefe_factor(
@@ -56,6 +82,47 @@ def slefe_factor(
     """max(tau_xy, tau_z) (2012, eq 10), at least 1 where a tile is on the screen, 0 elsewhere."""
     boxes = enclose_patch(control, segments, smooth)
     return factor_of_boxes(boxes, control, projection, tolerance, depth_tolerance, k, smooth, segments)
+
+
+def line_of_sight(view: View, packed: Any) -> Any:
+    """An origin for control points in the layout of the kernels: on the line of sight, beside the nearest of them.
+
+    That is the eye if some are beside or behind it. There points that matter have small coordinates, and those of the
+    origin on the screen are 0. The eye, too, if points or view are traced.
+    """
+    camera = view.camera
+    if isinstance(packed, Tracer) or not isinstance(camera.world_to_eye, np.ndarray):
+        return camera.eye.astype(packed.dtype)
+    corners = np.asarray(packed[:, 0, 0], np.float64)
+    with np.errstate(invalid="ignore", over="ignore"):
+        points = corners[:, :3] / (corners[:, 3:] if packed.shape[3] == 4 else 1.0)
+        ahead = -np.einsum("a,cal->cl", camera.world_to_eye[2, :3], points - camera.eye[:, None])
+    nearest = np.min(ahead, where=np.isfinite(ahead), initial=camera.far)
+    return (camera.eye - max(nearest, 0.0) * camera.world_to_eye[2, :3]).astype(packed.dtype)
+
+
+class Boxes(NamedTuple):
+    """Slefe boxes of patches in the layout of the kernels, as rounding leaves them, relative to an origin."""
+
+    lower: Any
+    upper: Any
+    origin: Any
+
+    @staticmethod
+    def of(packed: Any, origin: Any, segments: tuple[int, int], smooth: Any = None) -> Boxes:
+        """From control points in the world."""
+        lower, upper = boxes_pass(packed, origin, segments, smooth)
+        return Boxes(lower, upper, origin)
+
+
+@jax.jit(static_argnums=2)
+def boxes_pass(packed: Any, origin: Any, segments: tuple[int, int], smooth: Any) -> tuple[Any, Any]:
+    """What ``Boxes`` are made of."""
+
+    def kernel(control: Any) -> tuple[Any, Any]:
+        return enclose_patch(relative(control, origin), segments, smooth)
+
+    return layout.over_chunks(kernel, packed)
 
 
 def factor_of_boxes(
@@ -96,7 +163,7 @@ def visible_widths(
     else:
         width, depth = projected_widths(lower, upper, projection, with_depth, smooth)
     of_depth = None if depth is None else visible_maximum(depth, inside, smooth)
-    return visible_maximum(width, inside, smooth), of_depth, largest_of(inside) >= 0
+    return visible_maximum(width, inside, smooth), of_depth, nets.top(inside) >= 0
 
 
 def tau(demand: Any, k: Any, m: int, smooth: Any = None) -> Any:
@@ -108,64 +175,59 @@ def tau(demand: Any, k: Any, m: int, smooth: Any = None) -> Any:
     return jnp.sqrt(largest([square, jnp.ones_like(square)], smooth))
 
 
-def inside_of_tiles(lower: Any, upper: Any, frustum: Float[Array, "6 4"]) -> list[list[Any]]:
-    """The Q-test: at least 0, ``(lanes,)`` for every tile, unless its four boxes lie outside of one and the same plane.
+def inside_of_tiles(lower: Any, upper: Any, frustum: Float[Array, "6 4"]) -> Net:
+    """The Q-test: at least 0 for every tile, unless its four boxes lie outside of one and the same plane.
 
     Where W > 0 this is the test of the rectangle Q against the screen (2012, section 6), with near and far added; it
     needs no division, so it holds for boxes at and behind the camera too.
     """
-    # one box after the other: of arrays of boxes, and of reductions, the compiler makes code that is ten times slower
-    boxes = _each(lower.shape, lambda i, j: (0.5 * (lower[i, j] + upper[i, j]), 0.5 * (upper[i, j] - lower[i, j])))
-    parts = range(lower.shape[2])  # homogeneous points bring their own last coordinate
-    inside: list[list[Any]] | None = None
+    unrolled = _unrolled(lower)
+    ends = zip(nets.coordinates(lower, unrolled), nets.coordinates(upper, unrolled), strict=True)
+    boxes = [
+        (nets.each(lambda a, b: 0.5 * (a + b), low, high), nets.each(lambda a, b: 0.5 * (b - a), low, high))
+        for low, high in ends
+    ]
+    inside: Net | None = None
     for plane in frustum:
+        # homogeneous points bring their own last coordinate
+        start: Any = 0.0 if len(boxes) == 4 else plane[3]
 
-        def reach(i: int, j: int, plane: Any = plane) -> Any:
-            centre, half = boxes[i][j]
-            start: Any = 0.0 if len(parts) == 4 else plane[3]
-            return start + sum(plane[a] * centre[a] + jnp.abs(plane[a]) * half[a] for a in parts)
+        def reach(*parts: Any, plane: Any = plane, start: Any = start) -> Any:
+            places = enumerate(zip(parts[::2], parts[1::2], strict=True))
+            return start + sum(plane[a] * centre + jnp.abs(plane[a]) * half for a, (centre, half) in places)
 
-        furthest = _tile_maxima(_each(lower.shape, reach))
-        inside = furthest if inside is None else _pairwise(smaller, inside, furthest)
+        furthest = _tile_maxima(nets.each(reach, *chain(*boxes)))
+        inside = furthest if inside is None else nets.each(smaller, inside, furthest)
     assert inside is not None
     return inside
 
 
-def visible_maximum(width: Grid, inside: list[list[Any]], smooth: Any = None) -> Float[Array, "lanes"]:
+def visible_maximum(width: Grid, inside: Net, smooth: Any = None) -> Float[Array, "lanes"]:
     """The largest width (2012, eq 8) over the boxes of the tiles that are on the screen; 0 if there is none."""
     if smooth is not None:
         return _visible_soft_maximum(width, inside, smooth)
-    tiles = _tile_maxima(_each(width.shape, lambda i, j: width[i, j]))
-    return largest_of(_pairwise(lambda w, i: select(i >= 0, w, jnp.zeros_like(w)), tiles, inside))
+    tiles = _tile_maxima(nets.coordinates(width[:, :, None], _unrolled(width))[0])
+    return nets.top(nets.each(lambda w, i: select(i >= 0, w, jnp.zeros_like(w)), tiles, inside))
 
 
-def _visible_soft_maximum(width: Grid, inside: list[list[Any]], smooth: Any) -> Float[Array, "lanes"]:
+def _visible_soft_maximum(width: Grid, inside: Net, smooth: Any) -> Float[Array, "lanes"]:
     """Softly: a box counts once, if any of its tiles is on the screen."""
-    m_u, m_v = len(inside), len(inside[0])
-    seen = []
-    for i, j in product(range(m_u + 1), range(m_v + 1)):
-        own = [inside[a][b] for a in (i - 1, i) for b in (j - 1, j) if 0 <= a < m_u and 0 <= b < m_v]
-        seen.append(select(largest(own) >= 0, width[i, j], jnp.zeros_like(width[i, j])))
-    return largest_along(jnp.stack(seen), (0,), smooth)
+    tiles = jnp.stack([jnp.stack(list(row)) for row in inside])
+    around = jnp.pad(tiles, ((1, 1), (1, 1), (0, 0)), constant_values=-1.0)
+    seen = jnp.asarray(_tile_maxima(around)) >= 0
+    return largest_along(jnp.where(seen, width, 0.0), (0, 1), smooth)
 
 
-def largest_of(values: list[list[Any]]) -> Any:
-    """The largest of all."""
-    return reduce(larger, [value for row in values for value in row])
+def _unrolled(grid: Any) -> bool:
+    """Whether a grid is few enough boxes for one after the other, of which the compiler makes faster code."""
+    return grid.shape[0] * grid.shape[1] <= _UNROLLED
 
 
-def _each(shape: tuple[int, ...], value: Callable[[int, int], Any]) -> list[list[Any]]:
-    return [[value(i, j) for j in range(shape[1])] for i in range(shape[0])]
-
-
-def _pairwise(combine: Callable[[Any, Any], Any], a: list[list[Any]], b: list[list[Any]]) -> list[list[Any]]:
-    return [[combine(x, y) for x, y in zip(p, q, strict=True)] for p, q in zip(a, b, strict=True)]
-
-
-def _tile_maxima(values: list[list[Any]]) -> list[list[Any]]:
+def _tile_maxima(net: Net) -> Net:
     """The largest of the values at the four corners of every tile."""
-    along = _pairwise(larger, values[:-1], values[1:])
-    return [[larger(x, y) for x, y in pairwise(row)] for row in along]
+    for _ in ("u", "v"):
+        net = nets.transposed(nets.each(larger, net[:-1], net[1:]))
+    return net
 
 
 def projected_widths(

@@ -20,10 +20,11 @@ from slefejax.certified import certified_factors
 from slefejax.drawn import drawn_levels
 from slefejax.edges import check_edge_numbers, edge_maxima, shared_edges
 from slefejax.errors import InputError
-from slefejax.estimate import Projection, factor_of_boxes, slefe_factor
+from slefejax.estimate import Boxes, Projection, factor_of_boxes, line_of_sight, slefe_factor
 from slefejax.request import Request
 from slefejax.rings import Pattern
 from slefejax.rules import RULES, on_screen
+from slefejax.tessellator import with_pieces
 from slefejax.tiles import check_weights
 from slefejax.verified import Nets, drawn_grids_hold, verified_factors
 from slefejax.view import View
@@ -94,7 +95,8 @@ class Factors:
             inner = np.repeat(self.levels[:, None], 2, axis=1) if self.pairs is None else self.pairs
             found = drawn_levels(self.certify(), inner, self.edge_numbers, self.pairs is not None)
         else:
-            found = np.repeat(self.levels[:, None], 2, axis=1), edge_maxima(self.levels, self.edge_numbers)
+            inner = np.repeat(self.levels[:, None], 2, axis=1)
+            found = with_pieces(inner, edge_maxima(self.levels, self.edge_numbers), self.edge_numbers)
         for levels in found:
             levels.flags.writeable = False
         return found
@@ -204,7 +206,7 @@ def tessellation_factors(
 
 def factors_of(
     packed: Any,
-    boxes: tuple[Any, Any] | None,
+    boxes: Boxes | None,
     patches: Callable[[], Any],
     count: int,
     view: View,
@@ -218,10 +220,12 @@ def factors_of(
     """
     if not isinstance(view, View):
         raise InputError(f"the view must be a slefejax.View (a camera and a picture size), not {type(view).__name__}")
-    projection = jax.tree.map(partial(jnp.asarray, dtype=packed.dtype), Projection.of(view))
+    projection = Projection.of(view, packed.dtype, line_of_sight(view, packed) if boxes is None else boxes.origin)
     scales = tuple(None if x is None else jnp.asarray(x, packed.dtype) for x in request.numbers)
     needed = packed if boxes is None or packed.shape[3] == 4 else None
-    chunks = view_pass(needed, boxes, projection, scales, request.method, request.fineness)
+    chunks = view_pass(
+        needed, None if boxes is None else boxes[:2], projection, scales, request.method, request.fineness
+    )
     factor = layout.unpack(chunks, count)
     if isinstance(factor, Tracer):
         if request.anisotropic or request.verify:
@@ -239,7 +243,7 @@ def factors_of(
 
     @cache
     def certify() -> Certificate:
-        concrete = np.asarray(patches(), packed.dtype)
+        concrete = projection.relative(np.asarray(patches(), packed.dtype), axis=-1)
         return Certificate(concrete, projection, (scales[0], scales[1]), request.fineness, request.pattern, proof)
 
     pairs = certify().pairs() if request.anisotropic else None
@@ -253,7 +257,7 @@ def view_pass(
     """Real factors of all patches in one view, in the layout of the kernels; NaN for patches that are not finite.
 
     packed : control points; None where boxes are enough
-    boxes  : slefe boxes, or None to compute them on the way
+    boxes  : slefe boxes relative to the origin, or None to compute them on the way
     """
     bad = _out_of_range(scales, method)
     if method == "certified":
@@ -262,7 +266,7 @@ def view_pass(
         for scale in scales[:2]:
             if scale is not None:
                 # control points are divided by it
-                fine &= _harmless(packed / scale, projection, (1, 2, 3))
+                fine &= _harmless(packed, projection, (1, 2, 3), scale)
         return jnp.where(fine & ~bad, factor, jnp.nan)
     if boxes is not None:
         factor = layout.over_chunks(partial(_from_boxes, segments=fineness), (boxes, packed), projection, *scales)
@@ -287,6 +291,8 @@ def _from_boxes(both: Any, projection: Projection, *scales: Any, segments: tuple
     (lower, upper), control = both
     # boxes of control points that are not finite are not finite either
     fine = _harmless(lower, projection, (0, 1, 2)) & _harmless(upper, projection, (0, 1, 2))
+    if control is not None:
+        control = projection.relative(control)
     factor = factor_of_boxes((lower, upper), control, projection, *scales, segments=segments)
     return jnp.where(fine, factor, jnp.nan)
 
@@ -301,18 +307,21 @@ def _seen(rule: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _unless_bad(kernel: Callable[..., Any]) -> Callable[..., Any]:
-    """The kernel with NaN for harmful patches: its selects would hide them."""
+    """The kernel for points in the world, with NaN for harmful patches: its selects would hide them."""
 
     def checked(control: Any, projection: Projection, *arguments: Any) -> Any:
-        return jnp.where(_harmless(control, projection, (0, 1, 2)), kernel(control, projection, *arguments), jnp.nan)
+        found = kernel(projection.relative(control), projection, *arguments)
+        return jnp.where(_harmless(control, projection, (0, 1, 2)), found, jnp.nan)
 
     return checked
 
 
-def _harmless(control: Any, projection: Projection, axes: tuple[int, int, int]) -> Any:
-    """Whether all control points are finite, and small enough for their images to be."""
+def _harmless(control: Any, projection: Projection, axes: tuple[int, int, int], scale: Any = 1.0) -> Any:
+    """Whether all control points are finite, and small enough for their images, over a scale, to be."""
+    reach, eye = jnp.max(jnp.abs(control), axis=axes), jnp.max(jnp.abs(projection.origin))
+    reach = reach + eye * (reach if control.shape[axes[2]] == 4 else 1.0)
     # a sum of four products of points and matrix entries, differences of such sums, and the picture's size
-    return jnp.isfinite(64 * jnp.max(jnp.abs(control), axis=axes) * jnp.max(jnp.abs(projection.frustum)))
+    return jnp.isfinite(64 * (reach / scale) * jnp.max(jnp.abs(projection.frustum)))
 
 
 def _check_result(factor: np.ndarray, make_patches: Callable[[], Any]) -> None:

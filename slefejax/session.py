@@ -22,13 +22,12 @@ from jaxtyping import Float
 from slefejax import layout
 from slefejax.conversion.patchwork import in_layout
 from slefejax.errors import InputError
-from slefejax.estimate import Projection
+from slefejax.estimate import Boxes, Projection, boxes_pass
 from slefejax.factors import Factors, factors_of, view_pass
 from slefejax.request import Request
 from slefejax.rig import Deformation, Pose, check_time
 from slefejax.scene import Scene
 from slefejax.skinning import Influences, linear_blend
-from slefejax.slefe import boxes_pass
 from slefejax.stencils import StencilTable
 from slefejax.tiles import check_weights
 from slefejax.view import View
@@ -85,12 +84,15 @@ class Session:
             raise InputError(f"dtype must be float32 or float64, not {dtype!r}")
         self._deform = deform
         self._dtype = jax.dtypes.canonicalize_dtype(np.float64 if dtype is None else dtype)
+        # boxes are relative to some point of the scene
+        first = scene.points()[0]
+        self._origin = np.where(np.isfinite(first), first, 0.0).astype(self._dtype)
         self._tables = self._make_tables()
         self._pose_pass = jax.jit(self._move)
         self.recomputed, self.seconds = (), dict.fromkeys(PARTS, 0.0)
         self._at: _Snapshot | None = None
         self._packed: Any = None
-        self._boxes: tuple[Any, Any] | None = None
+        self._boxes: Boxes | None = None
         self._patches: np.ndarray | None = None
         self._seen: tuple[_Snapshot, Factors] | None = None
 
@@ -148,12 +150,12 @@ class Session:
             found["skinning and conversion"], packed = jax.make_jaxpr(self._move, return_shape=True)(self._tables, at)
         boxes = None
         if self.request.method == "slefe":
-            found["slefe boxes"], boxes = jax.make_jaxpr(boxes_pass, static_argnums=1, return_shape=True)(
-                packed, self.request.fineness, self.request.smooth
+            found["slefe boxes"], boxes = jax.make_jaxpr(boxes_pass, static_argnums=2, return_shape=True)(
+                packed, self._origin, self.request.fineness, self.request.smooth
             )
-        projection = jax.tree.map(lambda x: jnp.asarray(x, self._dtype), Projection.of(view))
-        scales = tuple(None if x is None else jnp.asarray(x, self._dtype) for x in self.request.numbers)
+        projection = Projection.of(view, self._dtype, None if boxes is None else self._origin)
         needed = packed if boxes is None or packed.shape[3] == 4 else None
+        scales = tuple(None if x is None else jnp.asarray(x, self._dtype) for x in self.request.numbers)
         found["view"] = jax.make_jaxpr(view_pass, static_argnums=(4, 5))(
             needed, boxes, projection, scales, self.request.method, self.request.fineness
         )
@@ -204,7 +206,8 @@ class Session:
         packed = self._timed(PARTS[0], lambda: self._pose_pass(self._tables, at) if self.moves else self._as_packed())
         boxes = None
         if self.request.method == "slefe":
-            boxes = self._timed(PARTS[1], lambda: boxes_pass(packed, self.request.fineness, self.request.smooth))
+            fineness, smooth = self.request.fineness, self.request.smooth
+            boxes = self._timed(PARTS[1], lambda: Boxes.of(packed, self._origin, fineness, smooth))
         self._at, self._packed, self._boxes = _snapshot(at), packed, boxes
         self._patches = self._seen = None
         return True

@@ -5,6 +5,9 @@ p = l + sum_j D_j a_j, with D_j = c_(j-1) - 2 c_j + c_(j+1) its second differenc
 with end coefficients 0 whose own second differences are all 0 but the j-th, which is 1. Bounds of the
 a_j by piecewise-linear functions over m equal segments, tabulated once, bound every polynomial of that
 degree (MATH.md, section 2; 2012, eq 2; animation paper, eq 4).
+
+What users get is rounded outwards: it encloses the polynomial with exactly the given coefficients, whatever the
+precision (``outward``). The estimate of factors is no bound and does without.
 """
 
 from __future__ import annotations
@@ -94,7 +97,8 @@ def slefe(coefficients: Numbers, segments: Any, axis: int = -1) -> Slefe:
     segments     : number m of equal pieces
     returns      : ``.lower`` and ``.upper`` in the dtype of the coefficients, with m+1 breakpoint values along ``axis``
 
-    Between the breakpoints the bounds are the linear interpolants. A polynomial of degree 1 is its own slefe.
+    Between the breakpoints the bounds are the linear interpolants. Bounds are rounded outwards, by some units in the
+    last place of the largest coefficient; but for that a polynomial of degree 1 is its own slefe.
     Raises InputError for fewer than two coefficients or fewer than one segment.
 
     >>> enclosure = slefe(np.array([0.0, 0.0, 1.0]), segments=1)
@@ -117,14 +121,15 @@ def slefe_boxes(patches: Patches, segments: Segments) -> Slefe:
     returns  : ``.lower`` and ``.upper``, ``(patches, m_u+1, m_v+1, dim)``, in the dtype of the control points
 
     The bilinear interpolants of the four corners of a tile enclose the patch on that tile: bounds in v first, and
-    their bounds in u then (appendix of the 2012 paper). Raises InputError for a wrong shape or segments < 1.
+    their bounds in u then (appendix of the 2012 paper). Rounded outwards, as ``slefe``. Raises InputError for a wrong
+    shape or segments < 1.
 
     >>> flat = np.zeros((5, 4, 4, 3))
     >>> slefe_boxes(flat, 3).upper.shape
     (5, 4, 4, 3)
     """
     patches = check_patches(patches, dims=None)
-    lower, upper = boxes_pass(jnp.asarray(layout.pack(patches)), segment_pair(segments))
+    lower, upper = _outward_boxes(jnp.asarray(layout.pack(patches)), segment_pair(segments))
     return Slefe(layout.unpack(lower, len(patches)), layout.unpack(upper, len(patches)))
 
 
@@ -185,6 +190,28 @@ def enclose_at(coefficients: Float[Array, "n b *rest"], segments: int, smooth: S
     return lower, upper
 
 
+def outward(bounds: tuple[Any, Any], coefficients: Float[Array, "n *rest"], segments: int) -> tuple[Any, Any]:
+    """Bounds from ``enclose`` moved outwards by all that rounding may have done to them.
+
+    With A the largest |c_j|, T_j the largest entry of a table's row, S their sum and u half an eps: second differences
+    are off by 8 u A and at most 4 A, so their products with the table by 16 u A T_j; the chord is off by 5 u A; d sums
+    of up to A (1 + 4 S), and this subtraction, add (d + 1) u A (1 + 4 S). Tables are outward themselves.
+    """
+    degree = coefficients.shape[0] - 1
+    if degree == 1 and segments == 1:
+        return bounds
+    table = 0.0 if degree == 1 else float(np.abs(slefe_table(degree, segments)).max(axis=(0, 2)).sum())
+    error = rounding(coefficients, 1.01 * (2.5 + 8.0 * table + 0.5 * (degree + 1) * (1.0 + 4.0 * table)))
+    return bounds[0] - error, bounds[1] + error
+
+
+def rounding(coefficients: Float[Array, "n *rest"], times: float) -> Any:
+    """So many eps of the largest size of coefficients along the first axis; more where numbers underflow."""
+    largest, kind = jnp.max(jnp.abs(coefficients), axis=0), jnp.finfo(coefficients.dtype)
+    tiny = (largest > 0) & (largest < kind.tiny / kind.eps)
+    return times * kind.eps * largest + jnp.where(tiny, 64.0 * coefficients.shape[0] * kind.tiny, 0.0)
+
+
 def enclose_patch(
     control: Float[Array, "nu nv *rest"], segments: tuple[int, int], temperature: Any = None
 ) -> tuple[Any, Any]:
@@ -222,11 +249,19 @@ def _as_dtype(table: SlefeTable, dtype: Any) -> SlefeTable:
 
 @jax.jit(static_argnums=(1, 2))
 def _slefe_jit(coefficients: Any, segments: int, axis: int) -> tuple[Any, Any]:
-    lower, upper = enclose(jnp.moveaxis(coefficients, axis, 0), segments)
+    moved = jnp.moveaxis(coefficients, axis, 0)
+    lower, upper = outward(enclose(moved, segments), moved, segments)
     return jnp.moveaxis(lower, 0, axis), jnp.moveaxis(upper, 0, axis)
 
 
+def outward_patch(control: Float[Array, "nu nv *rest"], segments: tuple[int, int]) -> tuple[Any, Any]:
+    """``enclose_patch``, rounded outwards in v and in u."""
+    by_v = jnp.swapaxes(control, 0, 1)
+    across = [jnp.swapaxes(bound, 0, 1) for bound in outward(enclose(by_v, segments[1]), by_v, segments[1])]
+    lower, upper = (outward(enclose(bound, segments[0]), bound, segments[0]) for bound in across)
+    return lower[0], upper[1]
+
+
 @jax.jit(static_argnums=1)
-def boxes_pass(packed: Any, segments: tuple[int, int], temperature: Any = None) -> tuple[Any, Any]:
-    """Lower and upper ends of the slefe boxes of all patches, in the layout of the kernels."""
-    return layout.over_chunks(enclose_patch, packed, segments, temperature)
+def _outward_boxes(packed: Any, segments: tuple[int, int]) -> tuple[Any, Any]:
+    return layout.over_chunks(outward_patch, packed, segments)

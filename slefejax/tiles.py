@@ -10,7 +10,7 @@ exact lines, the quotients are the end values, and their interpolant is off by .
   values at its corners, L > 0, so g/W is at most the larger of G/L and G/U; a quotient of bilinear functions with a
   positive denominator is monotone along every parameter line, so largest at a corner. Likewise from below.
 
-Both are computed from the tile's own control points; on each side the tighter one counts.
+Both are computed from the tile's own control points; on each side the tighter one counts. All is rounded outwards.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from slefejax import layout
 from slefejax.arguments import Patches, Segments, check_patches, segment_pair
 from slefejax.bezier import evaluate_patch, restrict
 from slefejax.errors import InputError
-from slefejax.slefe import Slefe, enclose_patch
+from slefejax.slefe import Slefe, outward_patch
 
 
 def slefe_tiles(patches: Patches, segments: Segments) -> Slefe:
@@ -70,18 +70,29 @@ def _tiles_jit(packed: Any, segments: tuple[int, int]) -> tuple[Any, Any]:
 
 
 def _tiles(control: Any, segments: tuple[int, int]) -> tuple[Any, Any]:
-    """Boxes ``(m_u, m_v, 3, lanes)`` of one chunk ``(du+1, dv+1, 3 or 4, lanes)``."""
+    """Boxes ``(m_u, m_v, 3, lanes)`` of one chunk ``(du+1, dv+1, 3 or 4, lanes)``.
+
+    A control point of a tile is a mean of the patch's, of weights likewise: of d = du + dv steps, each wrong by at most
+    3 u of what its terms add up to. So weights are wrong by 3 d u of themselves, positions by as much of the largest
+    |x| of the patch times the weight.
+    """
     own = restrict_to_tiles(control, segments)
     position = own[:, :, :3]
     weight = own[:, :, 3:] if control.shape[2] == 4 else jnp.ones_like(own[:, :, :1])
+    error = (3.0 * (sum(control.shape[:2]) - 2) + 4.0) * jnp.finfo(control.dtype).eps
+    whole = control[:, :, :3] / control[:, :, 3:] if control.shape[2] == 4 else control
+    far = jnp.max(jnp.abs(whole), axis=(0, 1))[:, None, None]
     points = position / weight
-    hull_lower, hull_upper = jnp.min(points, axis=(0, 1)), jnp.max(points, axis=(0, 1))
+    hull_lower, hull_upper = jnp.min(points, axis=(0, 1)) - error * far, jnp.max(points, axis=(0, 1)) + error * far
     s = evaluate_patch(position, 0.5, 0.5) / evaluate_patch(weight, 0.5, 0.5)
-    g_lower, g_upper = enclose_patch(position - s * weight, (1, 1))
-    ends = _weight_bounds(weight)
-    lower = jnp.min(jnp.stack([g_lower / end for end in ends]), axis=(0, 1, 2))
-    upper = jnp.max(jnp.stack([g_upper / end for end in ends]), axis=(0, 1, 2))
-    lower, upper = jnp.maximum(s + lower, hull_lower), jnp.minimum(s + upper, hull_upper)
+    g_lower, g_upper = outward_patch(position - s * weight, (1, 1))
+    blur = error * far * jnp.max(weight, axis=(0, 1))
+    low, high = _weight_bounds(weight)
+    ends = (low * (1.0 - error), high * (1.0 + error))
+    lower = jnp.min(jnp.stack([(g_lower - blur) / end for end in ends]), axis=(0, 1, 2))
+    upper = jnp.max(jnp.stack([(g_upper + blur) / end for end in ends]), axis=(0, 1, 2))
+    last = 4.0 * jnp.finfo(control.dtype).eps * (far + jnp.maximum(jnp.abs(lower), jnp.abs(upper)))
+    lower, upper = jnp.maximum(s + lower - last, hull_lower), jnp.minimum(s + upper + last, hull_upper)
     return jnp.moveaxis(lower, 0, 2), jnp.moveaxis(upper, 0, 2)
 
 
@@ -102,7 +113,7 @@ def _weight_bounds(weight: Any) -> tuple[Any, Any]:
     A slefe of positive weights may dip below 0; where it falls below the smallest weight on a tile, that weight is
     the lower bound of the whole tile.
     """
-    lower, upper = enclose_patch(weight, (1, 1))
+    lower, upper = outward_patch(weight, (1, 1))
     smallest = jnp.min(weight, axis=(0, 1))
     sunken = jnp.min(lower, axis=(0, 1)) < smallest
     return jnp.where(sunken, smallest, lower), upper

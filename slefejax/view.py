@@ -28,10 +28,11 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from slefejax.arguments import real_numbers
 from slefejax.errors import InputError
 
 Matrix = Any  # (4, 4), NumPy or JAX
-_LARGEST = 1e100  # squares and products of such numbers are still finite
+LARGEST = 1e100  # squares and products of such numbers are still finite
 Vector = Any  # three numbers: a tuple, a list or an array
 
 
@@ -42,7 +43,7 @@ def _namespace(*values: Any) -> ModuleType:
 
 def _vector(values: Vector) -> Any:
     xp = _namespace(values)
-    return xp.asarray(values) * 1.0 if xp is jnp else np.asarray(values, np.float64)
+    return xp.asarray(values) * 1.0 if xp is jnp else real_numbers(values, "eye, target and up")
 
 
 def _check(condition: Any, message: str) -> None:
@@ -117,10 +118,10 @@ class Camera:
             if vector.shape != (3,):
                 raise InputError(f"the camera's {name} must be three numbers, not an array of shape {vector.shape}")
             largest = xp.max(xp.abs(vector))
-            _check(largest < _LARGEST, f"the camera's {name} must be finite, and below {_LARGEST:g}, not {vector}")
+            _check(largest < LARGEST, f"the camera's {name} must be finite, and below {LARGEST:g}, not {vector}")
         _check(_scalar(far) > _scalar(near), f"far ({far}) must be beyond near ({near})")
         for name, value in (("near", near), ("far", far), ("extent", extent)):
-            _check(xp.abs(_scalar(value)) < _LARGEST, f"the camera's {name} must be finite, not {value}")
+            _check(xp.abs(_scalar(value)) < LARGEST, f"the camera's {name} must be finite, not {value}")
         side = xp.cross(camera.target - camera.eye, camera.up)
         _check(
             xp.linalg.norm(side) > 0.0, "the camera's eye and target coincide, or the view direction is parallel to up"
@@ -130,11 +131,15 @@ class Camera:
     @property
     def world_to_eye(self) -> Matrix:
         """Rigid motion to eye coordinates: x right, y up, the camera at the origin looking along -z."""
-        xp = _namespace(self)
+        return self.to_eye((0.0, 0.0, 0.0))
+
+    def to_eye(self, origin: Vector) -> Matrix:
+        """The same for points relative to an origin."""
+        xp = _namespace(self, origin)
         forward = _unit(self.target - self.eye)
         right = _unit(xp.cross(forward, self.up))
         rotation = xp.stack([right, xp.cross(right, forward), -forward])
-        translation = -(rotation @ self.eye)
+        translation = rotation @ (xp.asarray(origin) - self.eye)
         upper = xp.concatenate([rotation, translation[:, None]], axis=1)
         return xp.concatenate([upper, xp.asarray([[0.0, 0.0, 0.0, 1.0]])])
 
@@ -186,7 +191,11 @@ class View:
     @property
     def world_to_clip(self) -> Matrix:
         """World to clip space: column vectors, homogeneous coordinates."""
-        return self.camera.eye_to_clip(self.width / self.height) @ self.camera.world_to_eye
+        return self.to_clip((0.0, 0.0, 0.0))
+
+    def to_clip(self, origin: Vector) -> Matrix:
+        """The same for points relative to an origin; near the eye it has no large numbers that cancel."""
+        return self.camera.eye_to_clip(self.width / self.height) @ self.camera.to_eye(origin)
 
     @property
     def clip_to_screen(self) -> Matrix:
@@ -204,8 +213,8 @@ class View:
 
 def bounding_sphere(points: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, float]:
     """(centre, radius) of a sphere around points: the centre of their box, the distance of the furthest."""
-    if not np.max(np.abs(points)) < _LARGEST:
-        raise InputError(f"the scene's coordinates must be finite and below {_LARGEST:g} to look at it")
+    if not np.max(np.abs(points)) < LARGEST:
+        raise InputError(f"the scene's coordinates must be finite and below {LARGEST:g} to look at it")
     centre = (points.min(axis=0) + points.max(axis=0)) / 2.0
     return centre, float(np.linalg.norm(points - centre, axis=1).max()) or 1.0
 
@@ -248,7 +257,12 @@ def homogeneous(points: Float[Array | np.ndarray, "*rest dim"]) -> Any:
 
 
 def _scalar(value: Any) -> Any:
-    return value if isinstance(value, (jax.Array, Tracer)) else np.asarray(value, np.float64)
+    if isinstance(value, (jax.Array, Tracer)):
+        return value
+    number = real_numbers(value, "angles, sizes and distances of a camera")
+    if number.ndim:
+        raise InputError(f"one number is needed for a camera's angle, size or distance, not an array {number.shape}")
+    return number
 
 
 def _unit(vector: Any) -> Any:

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from slefejax import layout
 from slefejax.arguments import Number, Patches, Segments, check_patches, segment_pair
 from slefejax.errors import InputError
-from slefejax.estimate import Projection, visible_widths
+from slefejax.estimate import Projection, line_of_sight, visible_widths
 from slefejax.request import check_smooth
 from slefejax.slefe import enclose_patch
 from slefejax.tiles import check_weights
@@ -57,7 +57,7 @@ def _over_patches(patches: Patches, view: View, smooth: Any, segments: Any) -> A
     if not isinstance(view, View):
         raise InputError(f"the view must be a slefejax.View (a camera and a picture size), not {type(view).__name__}")
     packed = jnp.asarray(layout.pack(patches))
-    projection = jax.tree.map(partial(jnp.asarray, dtype=packed.dtype), Projection.of(view))
+    projection = Projection.of(view, packed.dtype, line_of_sight(view, packed))
     smooth = None if smooth is None else jnp.asarray(smooth, packed.dtype)
     found = layout.unpack(_pass(packed, projection, smooth, segments), len(patches))
     bad = [] if isinstance(found, Tracer) else np.flatnonzero(~np.isfinite(np.asarray(found)))
@@ -72,7 +72,7 @@ def _pass(packed: Any, projection: Projection, smooth: Any, segments: Any) -> An
 
     def finite(control: Any, projection: Projection, smooth: Any) -> Any:
         fine = jnp.all(jnp.isfinite(control), axis=(0, 1, 2))
-        return jnp.where(fine, kernel(control, projection, smooth), jnp.nan)
+        return jnp.where(fine, kernel(projection.relative(control), projection, smooth), jnp.nan)
 
     return layout.over_chunks(finite, packed, projection, smooth)
 
