@@ -25,6 +25,7 @@ from slefejax.session import Session
 from slefejax.skinning import dual_quaternion_blend, linear_blend
 from slefejax.slefe import Slefe, SlefeTable, slefe, slefe_boxes, slefe_table
 from slefejax.supremum import sampled_error, worst_points
+from slefejax.tessellator import with_pieces
 from slefejax.tiles import slefe_tiles
 from slefejax.triangles import triangle_error
 from slefejax.view import Camera, View
@@ -78,5 +79,6 @@ __all__ = [
     "tessellation_factors",
     "tolerance_for_budget",
     "triangle_error",
+    "with_pieces",
     "worst_points",
 ]

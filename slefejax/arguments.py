@@ -6,12 +6,14 @@ they need is said in their docstrings and checked here. A traced argument is onl
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jaxtyping import Float, Int
 
 from slefejax.errors import InputError
 
@@ -54,10 +56,24 @@ def check_positive(name: str, value: Number) -> None:
         return
     try:
         fine = np.ndim(value) == 0 and bool(np.isfinite(value)) and value > 0
-    except TypeError:
+    except (TypeError, ValueError):
         fine = False
     if not fine:
         raise InputError(f"{name} must be a positive number, not {value!r}")
+
+
+def check_choice(what: str, value: Any, choices: Iterable[str]) -> None:
+    """InputError unless the value is one of the names; ``what``: a method, a scheme."""
+    if not isinstance(value, str) or value not in choices:
+        raise InputError(f"there is no {what} {value!r}: choose one of {', '.join(choices)}")
+
+
+def real_numbers(values: Any, what: str) -> Float[np.ndarray, "*shape"]:
+    """Values as an array of float64, or InputError."""
+    try:
+        return np.asarray(values, np.float64)
+    except (ValueError, TypeError, OverflowError):
+        raise InputError(f"{what} must be real numbers, in rows of equal lengths") from None
 
 
 def floating(values: Numbers) -> Any:
@@ -91,3 +107,16 @@ def check_patches(patches: Patches, dims: tuple[int, ...] | None = (3, 4)) -> An
     if dims is not None and patches.shape[3] not in dims:
         raise InputError(f"control points must have {' or '.join(map(str, dims))} coordinates, not {patches.shape[3]}")
     return patches
+
+
+def whole_numbers(values: Any, what: str) -> Int[np.ndarray, "*shape"]:
+    """Values as an array of whole numbers, or InputError."""
+    try:
+        found = np.asarray(values)
+        with np.errstate(invalid="ignore"):
+            whole = found.astype(np.int64)
+        if found.size and not np.array_equal(whole, found):
+            raise ValueError
+    except (ValueError, TypeError, OverflowError):
+        raise InputError(f"{what} must be whole numbers (round them up), none of them beyond 64 bits") from None
+    return whole

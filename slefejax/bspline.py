@@ -26,7 +26,7 @@ import numpy as np
 from slefejax.arguments import Numbers, Segments, check_axis, check_segments, floating, is_whole, segment_pair
 from slefejax.bezier import second_differences
 from slefejax.errors import InputError
-from slefejax.slefe import Slefe
+from slefejax.slefe import Slefe, rounding
 from slefejax.slefe_tables import OUTWARD, bend_gaps
 
 
@@ -38,7 +38,8 @@ def bspline_slefe(coefficients: Numbers, degree: Any, segments: Any, axis: int =
     returns      : ``.lower`` and ``.upper`` with (n - degree) m + 1 breakpoint values along ``axis``
 
     The curve begins and ends inside of its control polygon (no repeated knots); repeat the first ``degree`` points at
-    the end for a closed one. Raises InputError for a degree below 1, too few control points or segments < 1.
+    the end for a closed one. Bounds are rounded outwards. Raises InputError for a degree below 1, too few control
+    points or segments < 1.
 
     >>> hat = bspline_slefe(np.array([0.0, 0.0, 1.0, 0.0, 0.0]), degree=2, segments=1)
     >>> hat.upper.round(3).tolist(), hat.lower.round(3).tolist()
@@ -133,12 +134,16 @@ def _spline_jit(coefficients: Any, degree: int, segments: int, axis: int) -> tup
     windows = [c[r : r + intervals] for r in range(degree + 1)]
     value = _breakpoints(sum(_outer(w, weights[:, r]) for r, w in enumerate(windows)))
     if degree == 1:
-        lower = upper = value
+        lower, upper, gaps = value, value, 0.0
     else:
         bend = second_differences(c)
         table = _gap_table(degree, segments, intervals).astype(c.dtype)
         lower = value - _spread(jnp.maximum(bend, 0), table, intervals)
         upper = value + _spread(jnp.maximum(-bend, 0), table, intervals)
+        gaps = float(table.sum(axis=1).max())
+    # of d + 1 products and sums each: values of at most the largest coefficient, bends of at most four times that
+    error = rounding(c, (degree + 4.0) * (1.0 + 4.0 * gaps))
+    lower, upper = lower - error, upper + error
     return jnp.moveaxis(lower, 0, axis), jnp.moveaxis(upper, 0, axis)
 
 
@@ -150,7 +155,7 @@ def _outer(values: Any, weights: Any) -> Any:
 
 def _breakpoints(grid: Any) -> Any:
     """From ``(intervals, segments + 1, ...)`` to all breakpoints, each knot once."""
-    flat = grid[:, :-1].reshape(-1, *grid.shape[2:])
+    flat = grid[:, :-1].reshape(grid.shape[0] * (grid.shape[1] - 1), *grid.shape[2:])  # -1 fails on nothing
     return jnp.concatenate([flat, grid[-1:, -1]])
 
 

@@ -26,8 +26,7 @@ _PLACES = 65  # parameters at which the largest is looked for before it is refin
 _SAMPLES = 33  # of a piece; its error is nearly a parabola whose top is one of them
 
 
-@lru_cache(maxsize=256)
-def curve_constant(degree: int, segments: int) -> float:
+def curve_constant(degree: Any, segments: Any) -> float:
     """The smallest k_m with which the estimate holds for all curves of a degree, cut into many pieces.
 
     degree   : from 2 to 64;  segments : m, at most 1000
@@ -40,6 +39,12 @@ def curve_constant(degree: int, segments: int) -> float:
     """
     if check_segments(segments) > _MOST_SEGMENTS:
         raise InputError(f"constants are known up to {_MOST_SEGMENTS} segments, and nearly 1 from there on: {segments}")
+    slefe_table(degree, segments)  # which checks the degree
+    return _constant(int(degree), int(segments))
+
+
+@lru_cache(maxsize=256)
+def _constant(degree: int, segments: int) -> float:
     table = slefe_table(degree, segments)
     gaps = (table.upper - table.lower).T
 

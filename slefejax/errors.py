@@ -12,3 +12,7 @@ class InputError(ValueError):
 
 class NoOpenGLError(RuntimeError):
     """No usable OpenGL device: the message names what is missing and what brings it."""
+
+
+class OpenGLError(RuntimeError):
+    """The OpenGL device fails while it is used: it was lost, ran out of memory, or does what it should not."""

@@ -29,7 +29,7 @@ from jaxtyping import Float
 from scipy.optimize import linprog
 from scipy.stats import norm
 
-from slefejax.arguments import Number, check_positive, is_whole
+from slefejax.arguments import Number, check_choice, check_positive, is_whole
 from slefejax.errors import InputError
 from slefejax.samples import Samples, slefe_term
 
@@ -97,6 +97,8 @@ def fit_km(
     >>> [round(fit_km(made, 3, estimator=e).k, 1) for e in ESTIMATORS]
     [1.2, 1.2, 1.2]
     """
+    if not isinstance(more, (list, tuple)) or not all(isinstance(name, str) for name in more):
+        raise InputError(f"more must be a list of names of terms, such as ['twist'], not {more!r}")
     names = (slefe_term(segments), *more)
     _check(target, estimator, temperature)
     chosen = _countable(samples, names)
@@ -208,8 +210,7 @@ def cross_validated(samples: Samples, folds: int = 5, **options: Any) -> tuple[F
 
 
 def _check(target: Any, estimator: str, temperature: Any) -> None:
-    if estimator not in ESTIMATORS:
-        raise InputError(f"there is no estimator {estimator!r}: choose one of {', '.join(ESTIMATORS)}")
+    check_choice("estimator", estimator, ESTIMATORS)
     check_positive("target", target)
     if float(target) > 1.0:
         raise InputError(f"the target is a share of the samples, at most 1, not {target}")

@@ -26,6 +26,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from slefejax.arguments import real_numbers, whole_numbers
 from slefejax.errors import InputError
 
 
@@ -80,7 +81,10 @@ class Mesh:
         >>> cube.face_count, cube.valence.tolist()
         (2, [3, 2, 3, 2])
         """
-        lists = [list(face) for face in faces]
+        try:
+            lists = [list(face) for face in faces]
+        except TypeError:
+            raise InputError("faces must be sequences of vertex numbers, one for each face") from None
         sizes = np.array([len(face) for face in lists], np.int64)
         corners = [v for face in lists for v in face]
         if not all(isinstance(v, (int, np.integer)) for v in corners):
@@ -94,8 +98,8 @@ class Mesh:
         numbers : of the faces in their file, if those are not 0, 1, 2 …
         sharp   : ``creases``, ``crease_sharpness``, ``points``, ``point_sharpness``
         """
-        vertices, corners = np.asarray(vertices, np.float64), np.asarray(corners, np.int64)
-        sizes = np.asarray(sizes, np.int64)
+        vertices, corners = real_numbers(vertices, "vertices"), whole_numbers(corners, "vertex numbers of faces")
+        sizes = whole_numbers(sizes, "sizes of faces")
         numbers = np.arange(len(sizes)) if numbers is None else np.asarray(numbers, np.int64)
         if vertices.ndim != 2 or vertices.shape[1] != 3:
             raise InputError(f"vertices must be an array (vertices, 3), not {vertices.shape}")

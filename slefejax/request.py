@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from jax.core import Tracer
 
-from slefejax.arguments import Number, Segments, check_positive, is_whole, segment_pair
+from slefejax.arguments import Number, Segments, check_choice, check_positive, is_whole, segment_pair
 from slefejax.errors import InputError
 from slefejax.rings import Pattern, direct3d11
 from slefejax.rules import RULES, SETTINGS
@@ -49,8 +50,8 @@ class Request:
         """From the arguments of ``tessellation_factors``, for control points of that dimension. Raises as it does."""
         _check_method(method, dimension, depth_tolerance, setting)
         asked = {"anisotropic": anisotropic, "verify": verify, "pattern": pattern is not None}
-        check_smooth(method, smooth, anisotropic or verify)
         _check_numbers(method, asked, tiles, {"tolerance": tolerance, "k": k, "depth_tolerance": depth_tolerance})
+        check_smooth(method, smooth, bool(anisotropic or verify))
         if pattern is not None and not isinstance(pattern, Pattern):
             raise InputError(f"pattern must be a slefejax.rings.Pattern, not {type(pattern).__name__}")
         if method == "certified":
@@ -78,8 +79,7 @@ class Request:
 
 
 def _check_method(method: str, dimension: int, depth_tolerance: Any, setting: Any) -> None:
-    if method not in METHODS:
-        raise InputError(f"there is no method {method!r}: choose one of {', '.join(METHODS)}")
+    check_choice("method", method, METHODS)
     if method == "filip" and dimension == 4:
         raise InputError("method 'filip' bounds polynomial patches, (patches, du+1, dv+1, 3): these are rational")
     if depth_tolerance is not None and method not in ("certified", "slefe"):
@@ -106,6 +106,9 @@ def check_smooth(method: str, smooth: Any, whole: bool = False) -> None:
 
 
 def _check_numbers(method: str, asked: dict[str, bool], tiles: Any, positive: dict[str, Any]) -> None:
+    for name, value in asked.items():
+        if not isinstance(value, (bool, np.bool_)):
+            raise InputError(f"{name} must be True or False, not {value!r}")
     if not is_whole(tiles, 1):
         raise InputError(f"tiles must be a whole number of at least 1, not {tiles!r}")
     if method != "certified" and any(asked.values()):

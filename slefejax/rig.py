@@ -19,9 +19,11 @@ from jax.core import Tracer
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from slefejax.arguments import floating
+from slefejax.arguments import floating, whole_numbers
 from slefejax.errors import InputError
 from slefejax.skinning import Influences, ShapeKeys, rotation_matrices
+
+_FLAT = 1e-12  # determinant of unit columns
 
 Deformation = Callable[[Any, Any, Influences], Any]
 
@@ -62,7 +64,7 @@ class Skeleton:
         """Checked. Raises InputError, with the joint's name, for a parent that does not exist, a cycle, and a bind
         transform that is missing or cannot be inverted.
         """
-        names, parents = tuple(names), np.asarray(parents, np.int64)
+        names, parents = tuple(names), whole_numbers(parents, "the parents of joints")
         if bind is None or len(np.shape(bind)) != 3 or np.shape(bind)[1:] != (4, 4):
             raise InputError(
                 "a skeleton needs a bind transform, 4 x 4, of every joint: without it there is no rest pose"
@@ -310,5 +312,9 @@ def transform_parts(matrix: Float[np.ndarray, "4 4"]) -> tuple[np.ndarray, np.nd
     if np.linalg.det(upper) < 0:
         scale[0] = -scale[0]
     turn = upper / np.where(scale != 0, scale, 1.0)
+    if not np.linalg.det(turn) > _FLAT:
+        # what flattens space has no rotation of its own: the nearest one
+        u, _, v = np.linalg.svd(turn)
+        turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
     x, y, z, w = Rotation.from_matrix(turn).as_quat()
     return matrix[:3, 3], np.array([w, x, y, z]), scale

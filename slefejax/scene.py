@@ -48,7 +48,7 @@ from slefejax.io.usd import read_usd
 from slefejax.mesh import Mesh
 from slefejax.rig import Deformation, Pose, Rig
 from slefejax.skinning import linear_blend
-from slefejax.view import Camera, Vector
+from slefejax.view import LARGEST, Camera, Vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,6 +282,8 @@ def _scene(path: Path, content: Content, scheme: str, alpha: float, steps: int |
         count = len(content.patches)
         parts.append(_Part(list(content.patches), np.arange(count), np.full(count, KINDS.index("bezier"))))
     control, found = _common_form([patch for part in parts for patch in part.patches])
+    if np.any(np.abs(control) >= LARGEST):
+        raise InputError(f"{path} has coordinates of {LARGEST:g} and more: scale it down, or drop what is out there")
     if control.shape[3] == 4:
         control, factors = with_common_weights(control)
         found += factors

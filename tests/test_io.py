@@ -499,7 +499,7 @@ def test_trimmed_and_broken_3dm_files(tmp_path):
     model.Write(str(path), 8)
     with pytest.raises(InputError, match=r"object 0 .*, face 1 is trimmed"):
         load(path)
-    with pytest.raises(InputError, match=r"no \.3dm file that can be read"):
+    with pytest.raises(InputError, match=r"no 3DM file that can be read"):
         load(write(tmp_path, "b.3dm", path.read_bytes()[:200]))
     rhino.File3dm().Write(str(tmp_path / "c.3dm"), 8)
     with pytest.raises(InputError, match="holds no surface and no mesh"):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
-from slefejax.arguments import check_positive, is_whole
+from slefejax.arguments import check_choice, check_positive, is_whole
 from slefejax.conversion.acc import ALPHA, acc_patches
 from slefejax.conversion.catmull_clark import refine
 from slefejax.conversion.patchwork import Patchwork
@@ -94,8 +94,7 @@ def _one_more(
 
 
 def _check(scheme: str, alpha: Any, steps: Any) -> None:
-    if scheme not in SCHEMES:
-        raise InputError(f"there is no scheme {scheme!r}: choose one of {', '.join(SCHEMES)}")
+    check_choice("scheme", scheme, SCHEMES)
     check_positive("alpha", alpha)
     if steps is not None and not (is_whole(steps, 1) and steps <= _MOST_STEPS):
         raise InputError(f"steps must be a whole number from 1 to {_MOST_STEPS}, not {steps!r}")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +14,7 @@ from slefejax.errors import InputError
 from slefejax.mesh import Mesh
 from slefejax.rig import Rig
 
+_MEGABYTES = {"usd": 2048, "3dm": 512}  # for a library itself
 Y_UP, Z_UP = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
 
@@ -60,6 +63,15 @@ def read_bytes(path: Path) -> bytes:
         raise InputError(f"there is no file {path}: check the name") from None
     except (OSError, ValueError) as error:  # a name may hold what no name can
         raise InputError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}") from None
+
+
+def probe(kind: str, path: Path) -> None:
+    """InputError for a binary file that a library cannot read within limits (``slefejax.io.probe``)."""
+    megabytes = _MEGABYTES[kind] + 20 * (path.stat().st_size >> 20)
+    command = [sys.executable, "-I", str(Path(__file__).with_name("probe.py")), kind, str(path), str(megabytes)]
+    ended = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True)
+    if ended.returncode:
+        raise InputError(f"{path} is no {kind.upper()} file that can be read: is it complete?")
 
 
 def joined(meshes: list[Mesh], counts: list[int] | None = None) -> Mesh:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from slefejax.arguments import whole_numbers
 from slefejax.errors import InputError
 from slefejax.io.bvh import Bvh, read_bvh
 from slefejax.io.content import Content, read_bytes
@@ -60,7 +61,7 @@ def _skeleton(path: Path, vertices: np.ndarray) -> tuple[Skeleton, np.ndarray]:
     bones, joints = _json(path, "bones", "joints")
     heads = []
     for name, bone in bones.items():
-        near = np.array(joints.get(bone.get("head"), []), np.int64)
+        near = whole_numbers(joints.get(bone.get("head"), []), f"{path}: the head of bone {name!r}")
         if not near.size or not 0 <= near.min() <= near.max() < len(vertices):
             raise InputError(f"{path}: the head of bone {name!r} is at no vertices of the base mesh")
         heads.append(vertices[near].mean(axis=0))
@@ -83,7 +84,10 @@ def _influences(path: Path, skeleton: Skeleton, count: int) -> Influences:
     if unknown:
         raise InputError(f"{path} has weights for bone {unknown[0]!r}, which the skeleton does not have")
     number = {name: k for k, name in enumerate(skeleton.names)}
-    entries = [(int(v), number[name], float(w)) for name, pairs in weights.items() for v, w in pairs]
+    try:
+        entries = [(int(v), number[name], float(w)) for name, pairs in weights.items() for v, w in pairs]
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{path}: weights should be pairs of a vertex and a number, a list of them a bone") from None
     vertex, bone, weight = (np.array(part) for part in zip(*entries, strict=True))
     if not 0 <= vertex.min() <= vertex.max() < count:
         raise InputError(f"{path} has a weight for vertex {vertex.max()}, but there are {count}")
@@ -103,7 +107,7 @@ def _target(path: Path, count: int) -> Key:
     numbers = Numbers(path, comment="#")
     indices, offsets = [], []
     while (item := numbers.rest()) is not None:
-        if not (item.isascii() and item.isdigit() and int(item) < count):
+        if not (item.isascii() and item.isdigit() and len(item) < 10 and int(item) < count):
             raise numbers.fail(f"{item[:40]!r} is no vertex of the {count} of the base mesh")
         indices.append(int(item))
         offsets.append(numbers.points((3,), "an offset"))

@@ -20,6 +20,7 @@ from slefejax.io.content import Y_UP, Content, read_bytes
 from slefejax.io.numbers import parse_real
 from slefejax.mesh import Mesh
 
+_MANY = 10**9
 _IRRELEVANT = {"vt", "vn", "s", "usemtl", "mtllib", "usemap", "maplib", "shadow_obj", "trace_obj", "lod", "bevel"}
 _IRRELEVANT |= {"c_interp", "d_interp", "mg"}
 
@@ -107,6 +108,8 @@ class _Reader:
             if name != "interpolateboundary" or ints != [1]:  # 1 is how boundaries are treated here
                 self.others[f"t {name}"] += 1
             return
+        if any(abs(number) >= _MANY for number in ints):
+            raise self.fail(f"a tag {name!r} names a vertex that no file has: {max(ints, key=abs)}")
         many = len(ints) - 1 if name == "crease" else len(ints)
         if many < 1 or len(sharpness) not in (1, many):
             raise self.fail(f"a tag {name!r} needs vertices and one sharpness, or one each")

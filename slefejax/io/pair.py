@@ -9,7 +9,9 @@ from __future__ import annotations
 import io
 import json
 import os
+import struct
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,13 @@ from slefejax.stencils import StencilTable
 FORMAT, VERSION = "slefejax rig", 1
 _SHARP = ("creases", "crease_sharpness", "points", "point_sharpness")
 _MOTION = ("translations", "rotations", "scales", "key_weights")
+
+
+# what NumPy, zip files and their compression raise for arrays that are none
+_BROKEN = (
+    *(ValueError, TypeError, OSError, EOFError, KeyError, AttributeError, MemoryError, NotImplementedError),
+    *(RuntimeError, zipfile.BadZipFile, zlib.error, struct.error),
+)
 
 
 def read_pair(path: Path) -> Content:
@@ -87,7 +96,7 @@ def _loaded(path: Path) -> dict[str, np.ndarray]:
         if not all(isinstance(values, np.ndarray) for values in found.values()):
             raise ValueError
         return found
-    except (ValueError, TypeError, OSError, EOFError, KeyError, AttributeError, MemoryError, zipfile.BadZipFile):
+    except _BROKEN:
         raise InputError(f"{path} is no .npz file of plain arrays, or not whole") from None
 
 

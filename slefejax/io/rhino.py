@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from slefejax.errors import InputError
-from slefejax.io.content import Content, Spline, joined, read_bytes
+from slefejax.io.content import Content, Spline, joined, probe, read_bytes
 from slefejax.mesh import Mesh
 
 
@@ -26,6 +26,7 @@ def read_3dm(path: Path) -> Content:
         import rhino3dm
     except ImportError:
         raise InputError(f"{path}: to read .3dm, install rhino3dm (pip install 'slefejax[rhino]')") from None
+    probe("3dm", path)
     model: Any = rhino3dm.File3dm.Read(str(path))
     if model is None:
         raise InputError(f"{path} is no .3dm file that can be read: is it complete?")

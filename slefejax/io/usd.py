@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from slefejax.errors import InputError
-from slefejax.io.content import Y_UP, Z_UP, Content, Spline, joined, read_bytes
+from slefejax.io.content import Y_UP, Z_UP, Content, Spline, joined, probe, read_bytes
 from slefejax.io.usd_skel import SkelReader
 from slefejax.mesh import Mesh
 
@@ -21,17 +21,33 @@ def read_usd(path: Path) -> Content:
 
     Raises InputError if the file is none, for trimmed patches, and for geometry that does not fit together.
     """
-    read_bytes(path)  # says what is wrong with the file itself
+    binary = not read_bytes(path).startswith(b"#usda")  # says what is wrong with the file itself
     try:
-        from pxr import Tf, Usd, UsdGeom
+        from pxr import Tf, Usd
     except ImportError:
         raise InputError(f"{path}: to read USD, install usd-core (pip install 'slefejax[usd]')") from None
+    if binary:
+        probe("usd", path)
     usd: Any = Usd  # whose stubs know little
-    geometry: Any = UsdGeom
     try:
         stage = usd.Stage.Open(str(path))
     except Tf.ErrorException:
         raise InputError(f"{path} is no USD file that can be read: is it complete?") from None
+    try:
+        return _content(path, stage)
+    except InputError:
+        raise
+    except (Tf.ErrorException, RuntimeError, TypeError, ValueError, OverflowError) as error:
+        # a stage is whatever a file says; the library finds out when it is asked
+        said = next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
+        raise InputError(f"{path} contradicts itself: {said.split(' : ')[-1][:200]}") from None
+
+
+def _content(path: Path, stage: Any) -> Content:
+    from pxr import Usd, UsdGeom
+
+    usd: Any = Usd
+    geometry: Any = UsdGeom
     time = usd.TimeCode.EarliestTime()
     reader = _Reader(path, time, geometry, SkelReader(path, stage, time))
     walk = iter(usd.PrimRange.Stage(stage, usd.TraverseInstanceProxies()))
