@@ -18,6 +18,7 @@ from slefejax.experiments.minimality import Minimality
 from slefejax.experiments.optimise import Optimise
 from slefejax.experiments.scaling import Scaling
 from slefejax.experiments.sensitivity import SensitivityOfScene
+from slefejax.experiments.stability import Stability
 from slefejax.experiments.tightness import Tightness
 
 Command = (
@@ -33,5 +34,6 @@ Command = (
     | Annotated[ErrorTime, subcommand("error-time")]
     | Annotated[Scaling, subcommand("scaling")]
     | Annotated[Tightness, subcommand("tightness")]
+    | Annotated[Stability, subcommand("stability")]
     | Annotated[Doctor, subcommand("doctor")]
 )
