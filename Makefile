@@ -12,7 +12,7 @@ demo: $(VENV)/opengl
 	$(BIN)/slefejax minimality teapot
 
 test: $(VENV)/opengl $(VENV)/test
-	SLEFEJAX_REQUIRE_OPENGL=1 $(BIN)/python -m pytest
+	SLEFEJAX_REQUIRE_OPENGL=1 $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 
 slow: $(VENV)/opengl $(VENV)/test
 	$(BIN)/python -m pytest -m slow

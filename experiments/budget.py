@@ -116,8 +116,8 @@ def _met(found: Budget, wanted: int) -> str:
 
 
 def _beyond(rows: list[Row]) -> tuple[str, ...]:
-    """What to say of levels that OpenGL does not have."""
+    """What to say of levels that OpenGL's tessellator does not have."""
     highest = max(row["highest_level"] for row in rows)
     if highest <= HIGHEST_LEVEL:
         return ()
-    return (f"the highest level is {highest}: OpenGL's limit is {HIGHEST_LEVEL}, such a patch has to be split first",)
+    return (f"the highest level is {highest}: past {HIGHEST_LEVEL} patches are drawn in pieces",)

@@ -71,7 +71,7 @@ class Certify:
         broken = sum(row["sup_error_px"] > self.tolerance or row["drawn_sup_error_px"] > self.tolerance for row in rows)
         high = sum(max(row["inner_u"], row["inner_v"]) > HIGHEST_LEVEL for row in rows)
         title = f"{names}: certified factors at {self.tolerance:g} px, {broken} of {len(rows)} patches above it"
-        title += f", {high} need levels above {HIGHEST_LEVEL} and are drawn with that" if high else ""
+        title += f", {high} need levels above {HIGHEST_LEVEL} and are drawn in pieces" if high else ""
         return Report(names, out, rows, title, notes + _sentences(summary), {"summary": summary}, self.output.json)
 
 
@@ -121,7 +121,7 @@ def _measure(scene: Scene, view: View, options: Certify, run: Run, number: int) 
     renderer = Renderer(patches)
     summary, errors = [], {}
     for method, own in factors.items():
-        inner, edges = (np.minimum(levels, HIGHEST_LEVEL) for levels in (own.inner, own.edges))
+        inner, edges = own.inner, own.edges
         uniform = sampled_error(patches, inner, view)
         drawn = triangle_error(patches, renderer.capture(view, inner, edges), view)
         seen = renderer.draw(view, inner, edges)
@@ -136,7 +136,6 @@ def _measure(scene: Scene, view: View, options: Certify, run: Run, number: int) 
                 "triangles": int(triangle_counts(inner, edges).sum()),
                 "uniform_triangles": int(2 * np.sum(own.levels**2 if own.pairs is None else own.pairs.prod(axis=1))),
                 "minimal_triangles": int(2 * np.sum(minimal**2)),
-                "capped_patches": int(np.sum(own.inner.max(axis=1) > HIGHEST_LEVEL)),
                 "sup_error_px": float(uniform.max()),
                 "drawn_sup_error_px": float(drawn.max()),
                 "max_error_px": float(np.nanmax(pixels, initial=0.0)),

@@ -11,7 +11,7 @@ INTERRUPTED = 130
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run a command. Exit status 0 if it is whole, 2 for bad input or no OpenGL device, 130 if it was interrupted."""
+    """Run a command. Exit status 0 if it is whole, 130 if it was interrupted, 2 for whatever else is in its way."""
     try:
         return _run(arguments)
     except KeyboardInterrupt:
@@ -24,7 +24,7 @@ def _run(arguments: list[str] | None) -> int:
     # Imported here, so that a package that is missing is one sentence and Ctrl-C is heard from the beginning.
     import tyro
 
-    from slefejax.errors import InputError, NoOpenGLError
+    from slefejax.errors import InputError, NoOpenGLError, OpenGLError
     from slefejax.experiments.commands import Command
 
     command = tyro.cli(
@@ -39,8 +39,12 @@ def _run(arguments: list[str] | None) -> int:
         report: Any = command.run()
     except (InputError, NoOpenGLError) as error:
         return _fail(str(error))
+    except OpenGLError as error:
+        return _fail(f"{error}: the same command goes on where it was")
+    except MemoryError:
+        return _fail("there is not enough memory for that: a smaller picture, fewer patches or pieces need less")
     except OSError as error:
-        return _fail(f"the results could not be written: {error}")
+        return _fail(f"the results could not be written: {error}; the same command goes on where it was")
     return _show(report)
 
 

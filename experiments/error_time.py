@@ -22,7 +22,7 @@ from slefejax.figures.error_image import write_error_image
 from slefejax.figures.error_time import write_error_against_time, write_pixels_against_triangles, write_triangle_sizes
 from slefejax.figures.side_by_side import write_side_by_side
 from slefejax.gpu import GBuffer, Renderer, Triangles, open_device
-from slefejax.tessellator import HIGHEST_LEVEL, triangle_counts
+from slefejax.tessellator import HIGHEST_LEVEL, pieces, triangle_counts
 
 AREAS = (0.5, 5.0, 10.0, 20.0)  # square pixels; the classes of the papers
 
@@ -133,13 +133,13 @@ class _View:
         """A row for every rule; run times of rules that take turns."""
         compile_ms = {m.name: self._first_call(m) for m in METHODS}
         predicted = {m.name: self._predict(m) for m in METHODS}
-        levels = {name: capped(factors) for name, factors in predicted.items()}
-        for inner, outer, _ in levels.values():
+        levels = {name: (factors.inner, factors.edges) for name, factors in predicted.items()}
+        for inner, outer in levels.values():
             self.renderer.submit(self.view, inner, outer)
         times: dict[str, list[tuple[float, float]]] = {m.name: [] for m in METHODS}
         for _ in range(self.options.repeats):
             for m in METHODS:
-                times[m.name].append(self._timed(m, *levels[m.name][:2]))
+                times[m.name].append(self._timed(m, *levels[m.name]))
         rows = []
         for m in METHODS:
             predict, render = (1e3 * np.array(t) for t in zip(*times[m.name], strict=True))
@@ -162,8 +162,9 @@ class _View:
         return rows
 
     def _finest(self, view: View) -> GBuffer:
-        """Four samples a pixel of the scene cut as finely as it can be."""
-        levels = np.where(self.minimal[:, None] > 0, HIGHEST_LEVEL, np.zeros(6, int))
+        """Four samples a pixel of the scene, every patch cut as finely as is good for all of them."""
+        finest = HIGHEST_LEVEL * int(pieces(self.minimal).max())
+        levels = np.where(self.minimal[:, None] > 0, finest, np.zeros(6, int))
         return self.renderer.draw(view, levels[:, :2], levels[:, 2:])
 
     def _predict(self, m: Method) -> Factors:
@@ -185,7 +186,7 @@ class _View:
         self.renderer.submit(self.view, inner, outer)
         return middle - start, time.perf_counter() - middle
 
-    def _errors(self, m: Method, factors: Factors, inner: np.ndarray, outer: np.ndarray, beyond: int) -> Row:
+    def _errors(self, m: Method, factors: Factors, inner: np.ndarray, outer: np.ndarray) -> Row:
         seen = self.renderer.draw(self.view, inner, outer)
         error = pixel_error(self.patches, self.view, seen.u, seen.v, seen.patch)
         if self.run is not None and m.name in PICTURES:
@@ -197,7 +198,6 @@ class _View:
         drawn = triangle_error(self.patches, triangles, self.view)
         return {
             "patches": len(self.patches),
-            "capped_patches": beyond,
             "triangles": int(triangle_counts(inner, outer).sum()),
             "minimal_triangles": int(2 * np.sum(self.minimal**2)),
             **error_shares(error, seen),
@@ -209,12 +209,6 @@ class _View:
             **covering_error(seen, self.reference).summary(),
             **area_shares(triangles, self.view),
         }
-
-
-def capped(factors: Factors) -> tuple[np.ndarray, np.ndarray, int]:
-    """Inner and outer levels cut off at the hardware's limit, and the number of patches that this concerns."""
-    beyond = int(np.count_nonzero(factors.levels > HIGHEST_LEVEL))
-    return np.minimum(factors.inner, HIGHEST_LEVEL), np.minimum(factors.edges, HIGHEST_LEVEL), beyond
 
 
 def ring_effect(uniform: np.ndarray, drawn: np.ndarray, tolerance: float) -> Row:
@@ -262,7 +256,6 @@ def summary(rows: list[Row]) -> list[Row]:
                 "method": name,
                 **{key: float(np.median([row[key] for row in own])) for key in medians},
                 **{key: float(max(row[key] for row in own)) for key in worst},
-                "capped_patches": sum(row["capped_patches"] for row in own),
             }
         )
     return found

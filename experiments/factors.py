@@ -57,6 +57,4 @@ def _beyond(levels: np.ndarray) -> tuple[str, ...]:
     count = int(np.count_nonzero(levels > HIGHEST_LEVEL))
     if not count:
         return ()
-    return (
-        f"{count} of {len(levels)} patches need more than OpenGL's limit of {HIGHEST_LEVEL} and cannot be rendered",
-    )
+    return (f"{count} of {len(levels)} patches need more than OpenGL's limit of {HIGHEST_LEVEL}: in pieces",)

@@ -168,10 +168,10 @@ def _picture(scene: Scene, view: View, tolerance: float, run: Run) -> tuple[Row,
     """Factors of the view, and the figure if there is an OpenGL device."""
     patches = scene.patches()
     factors = tessellation_factors(patches, view, tolerance=tolerance, edge_numbers=scene.edge_numbers)
-    inner, edges = (np.minimum(levels, HIGHEST_LEVEL) for levels in (factors.inner, factors.edges))
+    inner, edges = factors.inner, factors.edges
     beyond = int(np.sum(factors.inner.max(axis=1) > HIGHEST_LEVEL))
     row = {"triangles": int(triangle_counts(inner, edges).sum()), "factor_max": float(np.max(factors.factor))}
-    notes = (f"{beyond} patches need levels above {HIGHEST_LEVEL} and are drawn with that",) if beyond else ()
+    notes = (f"{beyond} patches need levels above {HIGHEST_LEVEL} and are drawn in pieces",) if beyond else ()
     try:
         renderer = Renderer(patches, open_device())
     except NoOpenGLError as error:

@@ -26,7 +26,7 @@ from slefejax.figures.error_image import write_error_image
 from slefejax.figures.minimality import write_factor_map, write_minimality_figure
 from slefejax.gpu import GBuffer, Renderer, open_device
 from slefejax.gpu.renderer import check_levels
-from slefejax.tessellator import triangle_counts
+from slefejax.tessellator import MOST_LEVEL, triangle_counts, with_pieces
 
 THRESHOLDS = (0.1, 0.5, 1.0)  # pixels; the limits of the papers' error colours
 
@@ -55,7 +55,7 @@ class Minimality:
         largest = factors.scaled(max(self.scales)).levels
         beside = None if self.prediction.method == "slefe" else _estimate(scene, view, self.prediction)
         device = open_device()
-        check_levels(largest, device.highest_level)
+        check_levels(largest)
         arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
         inputs = {"scene": digest(scene.patches().tobytes()), "opengl": device.renderer}
         with Run("minimality", arguments, self.output.out, inputs) as run:
@@ -113,8 +113,10 @@ class _Sweep:
     def levels(self, scale: float, factors: Factors | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Inner and outer levels at a scale."""
         scaled = (factors or self.factors).scaled(scale)
+        if self.options.edges == "shared":
+            return scaled.inner, scaled.edges
         own = np.repeat(scaled.levels[:, None], 4, axis=1)
-        return scaled.inner, scaled.edges if self.options.edges == "shared" else own
+        return with_pieces(scaled.inner, own, np.arange(own.size).reshape(own.shape))
 
     def row(self, scale: float) -> Row:
         """Render at a scale, measure, keep the picture."""
@@ -137,12 +139,12 @@ class _Sweep:
         }
 
     def estimate(self, scale: float) -> Row:
-        """What the papers' factors lead to at the same scale; NaN where they are beyond the hardware's limit."""
+        """What the papers' factors lead to at the same scale; NaN where they are too large to be drawn."""
         if self.beside is None:
             return {}
         inner, outer = self.levels(scale, self.beside)
         names = ("triangles", "share_above_0.5", "max_error_px")
-        if max(inner.max(), outer.max()) > self.renderer.device.highest_level:
+        if max(inner.max(), outer.max()) > MOST_LEVEL:
             return {f"slefe_{name}": float("nan") for name in names}
         seen = self.renderer.draw(self.view, inner, outer)
         error = pixel_error(self.scene.patches(), self.view, seen.u, seen.v, seen.patch)

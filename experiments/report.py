@@ -51,10 +51,18 @@ HEADINGS = {
     "twist_coefficient": "twist",
     "below_analytic_share": "below",
     "factor_over_minimal_median": "over minimal",
-    "capped_patches": "capped",
     "share_wrong_silhouette": "wrong edge",
     "share_wrong_patch_inside": "wrong inside",
     "us_per_curve": "µs a curve",
+    "single_error": "single: error",
+    "double_error": "double: error",
+    "single_broken": "single: broken",
+    "double_broken": "double: broken",
+    "single_refused": "refused",
+    "nonfinite": "not finite",
+    "single_unsafe_from": "single unsafe from",
+    "single_estimate_off_from": "1 % off from",
+    "single_certified_loose_from": "certified loose from",
     "skinning_ms": "skin + convert",
     "boxes_ms": "slefe boxes",
     "view_ms": "view",
@@ -151,6 +159,8 @@ def _shown(name: str, value: Any) -> str:
         return "-"
     if "share" in name:
         return f"{100 * value:.2f} %"
+    if name.endswith("_error") and isinstance(value, float):
+        return f"{value:.1e}"
     if isinstance(value, float):
         return f"{value:.9g}" if name == "scale" else f"{value:.4g}" if "us" in name.split("_") else f"{value:.3f}"
     if isinstance(value, int) and not isinstance(value, bool):

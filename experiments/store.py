@@ -1,8 +1,8 @@
 """The folder of a run: rows as they are found, then a table, a record and pictures, in place all at once.
 
 While it works, a run writes into a hidden folder beside its final place, named after what was asked for and of what. A
-run that is stopped leaves it there; asking for the same again takes its rows over and goes on. Only a finished run is
-put into place.
+run that is stopped leaves it there, at whatever moment; asking for the same again takes its rows over and goes on. Only
+a finished run is put into place, and its rows are forgotten after that.
 """
 
 from __future__ import annotations
@@ -40,14 +40,18 @@ class Run:
     def __init__(self, experiment: str, arguments: Row, out: Path | None, inputs: Row | None = None) -> None:
         self.experiment, self.arguments = experiment, arguments
         self._out = out.resolve() if out else None
-        if self._out and self._out.exists() and not (self._out.is_dir() and not any(self._out.iterdir())):
-            raise InputError(f"--out {out} exists and is not an empty folder: name another one, nothing is overwritten")
         self.parent = self._out.parent if self._out else Path("runs") / experiment
         text = json.dumps(
             [experiment, arguments, inputs, str(self._out), _versions(), _commit()], sort_keys=True, default=str
         )
         self.work = self.parent / f".{experiment}-{digest(text.encode())}.partial"
-        self._rows_file = self.work / "rows.jsonl"
+        self._rows_file = self.work / _ROWS
+        if (
+            self._out
+            and self._out.exists()
+            and not (self._out.is_dir() and all(map(self._is_own, self._out.iterdir())))
+        ):
+            raise InputError(f"--out {out} exists and is not an empty folder: name another one, nothing is overwritten")
         self._lock: int | None = None
 
     def __enter__(self) -> Run:
@@ -69,6 +73,11 @@ class Run:
         self._make_folder()
         return self.work / name
 
+    def _is_own(self, file: Path) -> bool:
+        """Whether a file in the folder that was named is there because this run was stopped while it put it there."""
+        beside = self.work / file.name
+        return beside.exists() and beside.samefile(file)
+
     def rows(self) -> list[Row]:
         """Rows found so far, those of an earlier, stopped run of the same included."""
         if not self._rows_file.exists():
@@ -78,8 +87,10 @@ class Run:
     def add(self, row: Row) -> None:
         """Keep a row at once, so that it survives whatever happens next."""
         self._make_folder()
-        with self._rows_file.open("a") as file:
-            file.write(json.dumps(row) + "\n")
+        with self._rows_file.open("a+b") as file:
+            # a run that was stopped, or whose disk was full, may have left half a line
+            torn = file.seek(0, os.SEEK_END) and (file.seek(-1, os.SEEK_END), file.read(1))[1] != b"\n"
+            file.write(b"\n" * bool(torn) + json.dumps(row).encode() + b"\n")
             file.flush()
             os.fsync(file.fileno())
 
@@ -116,9 +127,10 @@ class Run:
             **record,
         }
         self.file("run.json").write_text(json.dumps(strict(content), indent=2, default=str, allow_nan=False) + "\n")
-        self._rows_file.unlink(missing_ok=True)
-        (self.work / _LOCK).unlink(missing_ok=True)
-        return self._into_place()
+        place = self._into_place()
+        for name in (_ROWS, _LOCK):
+            (place / name).unlink(missing_ok=True)
+        return place
 
     def _into_place(self) -> Path:
         if self._out is None:
@@ -127,8 +139,9 @@ class Run:
             return self.work.rename(self._out)
         # the folder that was named may be somebody's current one: it stays, and the record comes last
         for file in sorted(self.work.iterdir(), key=lambda path: path.name == "run.json"):
-            file.rename(self._out / file.name)
-        self.work.rmdir()
+            if file.name not in (_ROWS, _LOCK) and not (self._out / file.name).exists():
+                os.link(file, self._out / file.name)
+        shutil.rmtree(self.work)
         return self._out
 
     def _free_place(self) -> Path:
@@ -155,7 +168,7 @@ class Run:
             raise InputError(f"the same run is under way in another process ({self.work}): wait for it") from None
 
 
-_LOCK = "lock"
+_LOCK, _ROWS = "lock", "rows.jsonl"
 
 
 def digest(content: bytes) -> str:

@@ -16,11 +16,11 @@ from jaxtyping import install_import_hook
 
 jax.config.update("jax_enable_x64", True)
 
-# Commands that tests start as processes of their own find what was compiled before them.
-COMPILED = tempfile.mkdtemp(prefix="slefejax-tests-")
-atexit.register(shutil.rmtree, COMPILED, ignore_errors=True)
-os.environ["JAX_COMPILATION_CACHE_DIR"] = COMPILED
-jax.config.update("jax_compilation_cache_dir", COMPILED)
+# Commands that tests start as processes of their own, and tests that run beside, find what was compiled before them.
+if "PYTEST_XDIST_WORKER" not in os.environ:
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="slefejax-tests-")
+    atexit.register(shutil.rmtree, os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
+jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
 
 install_import_hook(
     [f"slefejax.{name}" for name in ("arguments", "bezier", "edges", "error", "layout", "slefe", "tessellator", "view")]
