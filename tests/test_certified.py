@@ -317,7 +317,7 @@ def test_traced_tolerances(teapot, main_view):
     """What cannot be refused inside of jit is not a number; it is not 0, which stands for unseen."""
     factors = jax.jit(lambda t: tessellation_factors(teapot.patches(), main_view, tolerance=t).factor)
     assert np.isnan(factors(-0.5)).all()
-    # Under jit coordinates are relative to the eye, otherwise to a point near the patches: they round differently, by 1e-12.
+    # Under jit coordinates are relative to the eye, otherwise to a point near the patches: they round differently
     np.testing.assert_allclose(factors(0.5), tessellation_factors(teapot.patches(), main_view).factor, rtol=1e-11)
 
 
