@@ -7,6 +7,7 @@ from typing import Annotated
 from tyro.conf import subcommand
 
 from slefejax.experiments.animate import Animate
+from slefejax.experiments.bench import Bench
 from slefejax.experiments.budget import BudgetOfScene
 from slefejax.experiments.certify import Certify
 from slefejax.experiments.doctor import Doctor
@@ -35,5 +36,6 @@ Command = (
     | Annotated[Scaling, subcommand("scaling")]
     | Annotated[Tightness, subcommand("tightness")]
     | Annotated[Stability, subcommand("stability")]
+    | Annotated[Bench, subcommand("bench")]
     | Annotated[Doctor, subcommand("doctor")]
 )

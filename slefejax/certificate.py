@@ -65,7 +65,7 @@ class Certificate:
         evenness : of boxes with sides from so many times that on, ``(n,)`` or a number; 0: of all smaller boxes
         """
         numbers = np.column_stack([extents, np.broadcast_to(evenness, len(nets))])
-        return self.scale * self._in_batches(_boxes_jit, nets, numbers, self.tiles)
+        return self.scale * self._in_batches(_boxes_pass, nets, numbers, self.tiles)
 
     def grids_keep(self, patch: Int[np.ndarray, "n"], levels: Int[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         """Whether patches keep the tolerance on grids of that many cells along u and v, even and as they are drawn."""
@@ -87,7 +87,7 @@ class Certificate:
     ) -> Float[np.ndarray, "n"]:
         """How long triangles of any shape may be along an axis of a net, between two lengths; 0 if never so short."""
         numbers = np.stack([along, shortest, longest], axis=1)
-        return self._in_batches(_longest_jit, nets, numbers, self.scale, self.tiles)
+        return self._in_batches(_longest_pass, nets, numbers, self.scale, self.tiles)
 
     def for_all_boxes(self, levels: Int[np.ndarray, "patches 2"]) -> Int[np.ndarray, "patches 2"]:
         """Levels in the ratio of those given from which on all grids keep the tolerance, raised along u, v or both.
@@ -134,31 +134,29 @@ class Certificate:
             best[fine] = smaller[fine]
         return best
 
-    def _in_batches(self, jitted: Callable[..., Any], nets: np.ndarray, numbers: np.ndarray, *more: Any) -> np.ndarray:
+    def _in_batches(
+        self, compiled: Callable[..., Any], nets: np.ndarray, numbers: np.ndarray, *more: Any
+    ) -> np.ndarray:
         dtype, found = self.patches.dtype, []
         for at in range(0, len(nets), _BATCH):
             own = [np.asarray(x[at : at + _BATCH], dtype) for x in (nets, numbers)]
-            # whole chunks, so that few shapes are compiled
-            filled = [np.pad(x, [(0, -len(x) % layout.LANES)] + [(0, 0)] * (x.ndim - 1), mode="edge") for x in own]
-            packed = [jnp.asarray(layout.pack(x)) for x in filled]
-            chunks = jitted(*packed, self.projection, self.tolerances, *more)
+            packed = tuple(layout.pack(x, layout.MANY_LANES) for x in own)
+            chunks = compiled(packed, self.projection, self.tolerances, *more)
             found.append(np.asarray(layout.unpack(chunks, len(own[0])), np.float64))
         return np.concatenate(found) if found else np.zeros(0)
 
 
-@partial(jax.jit, static_argnums=4)
-def _boxes_jit(packed: Any, numbers: Any, projection: Projection, tolerances: tuple[Any, Any], tiles: int) -> Any:
+@layout.as_pass(3)
+def _boxes_pass(packed: Any, projection: Projection, tolerances: tuple[Any, Any], tiles: int) -> Any:
     def kernel(both: tuple[Any, Any]) -> Any:
         control, (e_u, e_v, evenness) = both
         return certified_factor(control, projection, *tolerances, (e_u, e_v), evenness, tiles=tiles)
 
-    return jax.lax.map(kernel, (packed, numbers))
+    return layout.over_chunks(kernel, packed)
 
 
-@partial(jax.jit, static_argnums=5)
-def _longest_jit(
-    packed: Any, numbers: Any, projection: Projection, tolerances: tuple[Any, Any], scale: Any, tiles: int
-) -> Any:
+@layout.as_pass(4)
+def _longest_pass(packed: Any, projection: Projection, tolerances: tuple[Any, Any], scale: Any, tiles: int) -> Any:
     def kernel(both: tuple[Any, Any]) -> Any:
         control, (along, shortest, longest) = both
         bound = partial(certified_factor, control, projection, *tolerances, tiles=tiles, any_triangle=True)
@@ -179,4 +177,4 @@ def _longest_jit(
         start = (jnp.zeros_like(shortest), guess, 2.0 * guess, jnp.ones_like(guess))
         return jax.lax.fori_loop(0, _STEPS, closer, start)[0]
 
-    return jax.lax.map(kernel, (packed, numbers))
+    return layout.over_chunks(kernel, packed)

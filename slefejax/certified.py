@@ -8,7 +8,7 @@ what several loops need, so there are few of them.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from functools import partial, reduce
 from typing import Any, NamedTuple
 
 import jax
@@ -89,17 +89,14 @@ def certified_factor(
     if unrolled is None:
         unrolled = control.shape[0] * control.shape[1] <= _UNROLLED and control.shape[2] == 3 and smooth is None
     screen = Screen.of(control, projection, tolerance, depth_tolerance, unrolled)
-    whole = Piece.of(screen, screen.rows, screen.w, 1)
-    remainders = [
-        _remainder(row, screen.w, ends, extent, smooth) for row, ends in zip(screen.rows, whole.ends, strict=True)
-    ]
     measure = _of_any_triangle if any_triangle else partial(_of_half_cell, evenness=evenness, smooth=smooth)
     bends = [_largest_sum(net, extent, smooth) for net in (*screen.rows[:2], screen.w)]
     if tiles == 1:
         # n is at least what the corners need, which is known without a second loop
+        whole = Piece.of(screen, screen.rows, screen.w, 1)
         least = _least_square(screen, whole, extent, smooth)
         inverse = 1.0 / jnp.sqrt(least)
-        square = _square(screen, whole, remainders, bends[2], extent, measure, inverse, smooth)
+        square = _square(screen, whole, bends[2], extent, measure, inverse, smooth)
         square = largest([square, jnp.where(least > 1.0, least, 0.0)], smooth)
     else:
 
@@ -111,7 +108,7 @@ def certified_factor(
                 )
             *rows, w = (nets.combined(net, *matrices) for net in (*screen.rows, screen.w))
             piece = Piece.of(screen, rows, w, tiles)
-            square = _square(screen, piece, remainders, bends[2], extent, measure, smooth=smooth)
+            square = _square(screen, piece, bends[2], extent, measure, smooth=smooth)
             return largest([found, smaller(square, _last_visible(screen, piece, bends))], smooth), None
 
         matrices = nets.tile_matrices(control.shape[0], control.shape[1], tiles)
@@ -162,7 +159,8 @@ class Screen(NamedTuple):
         for net, extent, size in zip((x, y, z), half, sizes, strict=True):
             error = _ROUNDING * eps * size
             inside += [reach + error for reach in _reaches(net, w, extent)]
-        visible = jnp.all(jnp.stack(inside) >= 0, axis=0)
+        # a reduction of stacked arrays would not be vectorised
+        visible = reduce(jnp.logical_and, [reach >= 0 for reach in inside])
         weight = nets.bottom(points[3]) if rational else jnp.ones_like(largest[0])
         count = 2 if depth_tolerance is None else 3
         floor = projection.near_w * weight
@@ -200,7 +198,7 @@ class Piece(NamedTuple):
 
 
 class Remainder(NamedTuple):
-    """Bounds of the higher derivatives of g_s over a patch."""
+    """Bounds of the higher derivatives of g_s over a patch, for s in an interval."""
 
     along_u: Lanes  # |g_uuu| e_u^3 + 3 |g_uuv| e_u^2 e_v
     along_v: Lanes  # |g_vvv| e_v^3 + 3 |g_uvv| e_u e_v^2
@@ -240,7 +238,6 @@ def _least_square(screen: Screen, whole: Piece, extent: Extent, smooth: Any) -> 
 def _square(
     screen: Screen,
     piece: Piece,
-    remainders: list[Remainder],
     w_bend: Lanes,
     extent: Extent,
     measure: Callable[..., Lanes],
@@ -255,9 +252,8 @@ def _square(
     degree = sum(nets.degrees(piece.w))
     rounding = 2.0 * _ROUNDING * screen.eps * (degree**2 / 8.0 + degree**3 / 24.0 + degree**4 / 72.0)
     squares = []
-    for k, (row, ends, remainder, size) in enumerate(
-        zip(piece.rows, piece.ends, remainders, screen.sizes, strict=True)
-    ):
+    for k, (row, ends, size) in enumerate(zip(piece.rows, piece.ends, screen.sizes, strict=True)):
+        remainder = _remainder(screen.rows[k], screen.w, ends, extent, smooth)
         hessian = _hessian(row, extent)
         tops = [nets.top(_measured(measure, s, hessian, depth, piece.inverse), smooth) for s in ends]
         second = largest(tops, smooth)

@@ -73,11 +73,11 @@ def surface_on_screen(
     with jax.enable_x64(True):
         control: Any = homogeneous(np.asarray(patches, np.float64)) @ np.asarray(view.world_to_screen).T
         samples = np.column_stack([u, v, patch]).astype(np.float64)
-        positions = _evaluate(jnp.asarray(layout.pack(samples)), jnp.asarray(np.moveaxis(control, 0, -1)))
+        positions = _evaluate(layout.pack(samples), jnp.asarray(np.moveaxis(control, 0, -1)))
         return np.asarray(layout.unpack(positions, len(samples)))
 
 
-@jax.jit
+@layout.as_pass()
 def _evaluate(samples: Float[Any, "chunks 3 lanes"], control: Float[Any, "nu nv 4 patches"]) -> Any:
     def positions(chunk: Any) -> Any:
         own = control[..., chunk[2].astype(jnp.int32)]

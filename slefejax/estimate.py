@@ -8,7 +8,6 @@ from __future__ import annotations
 from itertools import chain, product
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -93,7 +92,7 @@ def line_of_sight(view: View, packed: Any) -> Any:
     camera = view.camera
     if isinstance(packed, Tracer) or not isinstance(camera.world_to_eye, np.ndarray):
         return camera.eye.astype(packed.dtype)
-    corners = np.asarray(packed[:, 0, 0], np.float64)
+    corners = np.asarray(packed)[:, 0, 0].astype(np.float64)
     with np.errstate(invalid="ignore", over="ignore"):
         points = corners[:, :3] / (corners[:, 3:] if packed.shape[3] == 4 else 1.0)
         ahead = -np.einsum("a,cal->cl", camera.world_to_eye[2, :3], points - camera.eye[:, None])
@@ -115,7 +114,7 @@ class Boxes(NamedTuple):
         return Boxes(lower, upper, origin)
 
 
-@jax.jit(static_argnums=2)
+@layout.as_pass(2)
 def boxes_pass(packed: Any, origin: Any, segments: tuple[int, int], smooth: Any) -> tuple[Any, Any]:
     """What ``Boxes`` are made of."""
 

@@ -13,7 +13,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from slefejax import layout
+from slefejax import layout, nets
 from slefejax.arguments import Number, Patches, Segments, check_patches, check_positive
 from slefejax.certificate import Certificate
 from slefejax.certified import certified_factors
@@ -200,7 +200,7 @@ def tessellation_factors(
     )
     if edge_numbers is not None:
         edge_numbers = check_edge_numbers(edge_numbers, len(patches))
-    packed = jnp.asarray(layout.pack(patches))
+    packed = layout.pack(patches)
     return factors_of(packed, None, lambda: patches, len(patches), view, request, edge_numbers)
 
 
@@ -223,9 +223,8 @@ def factors_of(
     projection = Projection.of(view, packed.dtype, line_of_sight(view, packed) if boxes is None else boxes.origin)
     scales = tuple(None if x is None else jnp.asarray(x, packed.dtype) for x in request.numbers)
     needed = packed if boxes is None or packed.shape[3] == 4 else None
-    chunks = view_pass(
-        needed, None if boxes is None else boxes[:2], projection, scales, request.method, request.fineness
-    )
+    seen = (needed, None if boxes is None else boxes.lower, None if boxes is None else boxes.upper)
+    chunks = view_pass(seen, projection, scales, request.method, request.fineness)
     factor = layout.unpack(chunks, count)
     if isinstance(factor, Tracer):
         if request.anisotropic or request.verify:
@@ -250,26 +249,24 @@ def factors_of(
     return Factors(factor, patches() if edge_numbers is None else None, edge_numbers, pairs, certify)
 
 
-@partial(jax.jit, static_argnums=(4, 5))
+@layout.as_pass(3, 4)
 def view_pass(
-    packed: Any, boxes: Any, projection: Projection, scales: tuple[Any, ...], method: str, fineness: Any
+    seen: tuple[Any, Any, Any], projection: Projection, scales: tuple[Any, ...], method: str, fineness: Any
 ) -> Float[Array, "chunks lanes"]:
     """Real factors of all patches in one view, in the layout of the kernels; NaN for patches that are not finite.
 
-    packed : control points; None where boxes are enough
-    boxes  : slefe boxes relative to the origin, or None to compute them on the way
+    seen : control points, None where boxes are enough; lower and upper ends of slefe boxes relative to the origin, or
+           None twice, to compute them on the way
     """
     bad = _out_of_range(scales, method)
+    packed, lower, upper = seen
     if method == "certified":
         factor: Any = certified_factors(packed, projection, scales, fineness)
-        fine = _harmless(packed, projection, (1, 2, 3))
-        for scale in scales[:2]:
-            if scale is not None:
-                # control points are divided by it
-                fine &= _harmless(packed, projection, (1, 2, 3), scale)
+        fine = layout.over_chunks(_harmless_over_scales, packed, projection, *scales[:2])
         return jnp.where(fine & ~bad, factor, jnp.nan)
-    if boxes is not None:
-        factor = layout.over_chunks(partial(_from_boxes, segments=fineness), (boxes, packed), projection, *scales)
+    if lower is not None:
+        kernel = partial(_from_boxes, segments=fineness)
+        factor = layout.over_chunks(kernel, (lower, upper, packed), projection, *scales)
     else:
         kernel = partial(slefe_factor, segments=fineness) if method == "slefe" else _seen(RULES[method])
         factor = layout.over_chunks(_unless_bad(kernel), packed, projection, *scales)
@@ -287,10 +284,10 @@ def _out_of_range(scales: tuple[Any, ...], method: str) -> Any:
     return jnp.asarray(bad)
 
 
-def _from_boxes(both: Any, projection: Projection, *scales: Any, segments: tuple[int, int]) -> Any:
-    (lower, upper), control = both
+def _from_boxes(seen: Any, projection: Projection, *scales: Any, segments: tuple[int, int]) -> Any:
+    lower, upper, control = seen
     # boxes of control points that are not finite are not finite either
-    fine = _harmless(lower, projection, (0, 1, 2)) & _harmless(upper, projection, (0, 1, 2))
+    fine = _harmless(lower, projection) & _harmless(upper, projection)
     if control is not None:
         control = projection.relative(control)
     factor = factor_of_boxes((lower, upper), control, projection, *scales, segments=segments)
@@ -311,15 +308,25 @@ def _unless_bad(kernel: Callable[..., Any]) -> Callable[..., Any]:
 
     def checked(control: Any, projection: Projection, *arguments: Any) -> Any:
         found = kernel(projection.relative(control), projection, *arguments)
-        return jnp.where(_harmless(control, projection, (0, 1, 2)), found, jnp.nan)
+        return jnp.where(_harmless(control, projection), found, jnp.nan)
 
     return checked
 
 
-def _harmless(control: Any, projection: Projection, axes: tuple[int, int, int], scale: Any = 1.0) -> Any:
+def _harmless_over_scales(control: Any, projection: Projection, *scales: Any) -> Any:
+    """The same where control points are divided by each of these scales too."""
+    fine = _harmless(control, projection)
+    for scale in scales:
+        if scale is not None:
+            fine &= _harmless(control, projection, scale)
+    return fine
+
+
+def _harmless(control: Any, projection: Projection, scale: Any = 1.0) -> Any:
     """Whether all control points are finite, and small enough for their images, over a scale, to be."""
-    reach, eye = jnp.max(jnp.abs(control), axis=axes), jnp.max(jnp.abs(projection.origin))
-    reach = reach + eye * (reach if control.shape[axes[2]] == 4 else 1.0)
+    # the sum of their sizes, which costs less than the largest of them and is not much more
+    reach, eye = nets.sum_of_sizes(control), jnp.max(jnp.abs(projection.origin))
+    reach = reach + eye * (reach if control.shape[2] == 4 else 1.0)
     # a sum of four products of points and matrix entries, differences of such sums, and the picture's size
     return jnp.isfinite(64 * (reach / scale) * jnp.max(jnp.abs(projection.frustum)))
 

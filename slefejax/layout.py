@@ -1,4 +1,4 @@
-"""The one place that knows how patches lie in memory: first outside, last inside.
+"""The one place that knows how patches lie in memory, and which cores work on them: first outside, last inside.
 
 Users hold patches as ``(patches, du+1, dv+1, dim)``. The kernels want long, contiguous runs over
 which every operation is the same, and a working set that stays in the cache: control points as
@@ -8,12 +8,18 @@ never indexes the last axis.
 
 A batch that does not fill its chunks is padded with copies of its last patch, and the number of chunks
 is rounded up to a few sizes, so that sweeps over many patch counts compile a few times, not each time.
+
+XLA runs a loop over chunks on one core. A ``Pass`` gives each core chunks of its own: calls of one program, from one
+thread each, over views of the same arrays.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
-from typing import Any
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial, update_wrapper
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,36 +27,76 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Shaped
 
-LANES = 1024
+LANES = 2048
 _FEWEST_LANES = 32
+MANY_LANES = 512  # where batches of all sizes come one after the other
+_ALIGNMENT = 64  # bytes
+_FEW_CHUNKS = 16
+_FEWEST_CHUNKS = 2  # for a core: with fewer of them threads cost more than they save
+# CPUs with registers of 512 bits are told to use them: up to a fifth faster than what the compiler prefers. What loops
+# over the tiles of a chunk could have in common stays inside of them: to load a hundred arrays takes longer.
+_OPTIONS = {"xla_cpu_prefer_vector_width": 512, "xla_disable_hlo_passes": "while-loop-invariant-code-motion"}
 
 
-def _padded_shape(count: int) -> tuple[int, int]:
-    """(chunks, lanes) for ``count`` items: lanes a power of two, chunks with at most a quarter of padding."""
-    lanes = min(LANES, max(_FEWEST_LANES, 1 << (count - 1).bit_length()))
+def _padded_shape(count: int, fewest: int = _FEWEST_LANES) -> tuple[int, int]:
+    """(chunks, lanes) for ``count`` items: lanes a power of two; 1, 2, 3, 4, 6, 8, 12, 16 chunks, or eight sizes an octave.
+
+    So at most a third of few chunks and an eighth of many are padding. Even numbers are shared by two cores.
+    """
+    lanes = min(LANES, max(fewest, 1 << (count - 1).bit_length()))
     chunks = -(-count // lanes)
-    step = 1 << max(0, chunks.bit_length() - 3)
+    step = 1 << max(0, chunks.bit_length() - (2 if chunks <= _FEW_CHUNKS else 4))
     return -(-chunks // step) * step, lanes
 
 
-def pack(items: Shaped[Array | np.ndarray, "count *rest"]) -> Shaped[Array | np.ndarray, "chunks *rest lanes"]:
-    """Items first ``(count, *rest)`` become chunks ``(chunks, *rest, lanes)``, padded with the last item."""
-    xp: Any = jnp if isinstance(items, Tracer) else np
-    items = items if xp is jnp else np.asarray(items)
-    count = items.shape[0]
-    chunks, lanes = _padded_shape(count)
-    padding = xp.broadcast_to(items[-1:], (chunks * lanes - count, *items.shape[1:]))
-    padded = xp.concatenate([items, padding]).reshape(chunks, lanes, *items.shape[1:])
-    return xp.moveaxis(padded, 1, -1)
+def pack(
+    items: Shaped[Array | np.ndarray, "count *rest"], fewest: int = _FEWEST_LANES
+) -> Shaped[Array, "chunks *rest lanes"]:
+    """Items first ``(count, *rest)`` become chunks ``(chunks, *rest, lanes)``, padded with the last item.
+
+    fewest : lanes, a power of two; with more of them batches of different sizes have fewer shapes
+    """
+    chunks, lanes = _padded_shape(items.shape[0], fewest)
+    if not isinstance(items, Tracer):
+        return jax.device_put(_packed_on_host(np.asarray(items), chunks, lanes), may_alias=True)
+    padding = jnp.broadcast_to(items[-1:], (chunks * lanes - items.shape[0], *items.shape[1:]))
+    padded = jnp.concatenate([items, padding]).reshape(chunks, lanes, *items.shape[1:])
+    return jnp.moveaxis(padded, 1, -1)
 
 
-def unpack(chunks: Shaped[Array | np.ndarray, "chunks *rest lanes"], count: int) -> Any:
-    """The inverse of ``pack``: ``(count, *rest)`` without the padding."""
+def _packed_on_host(items: np.ndarray, chunks: int, lanes: int) -> np.ndarray:
+    """One chunk after the other, each of which the cache holds while it is transposed."""
+    rest = items.shape[1:]
+    packed = _aligned((chunks, int(np.prod(rest)), lanes), items.dtype)
+    for chunk, own in enumerate(packed):
+        part = items[chunk * lanes : (chunk + 1) * lanes].reshape(-1, len(own))
+        own[:, : len(part)] = part.T
+        own[:, len(part) :] = items[-1].reshape(-1, 1)
+    return packed.reshape(chunks, *rest, lanes)
+
+
+def _aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+    """An array where JAX can use it without a copy."""
+    room = np.empty(int(np.prod(shape)) * dtype.itemsize + _ALIGNMENT, np.uint8)
+    start = -room.ctypes.data % _ALIGNMENT
+    return room[start : len(room) - _ALIGNMENT + start].view(dtype).reshape(shape)
+
+
+class Parts(NamedTuple):
+    """What several cores made, chunks of one after those of the other; never copied into one array."""
+
+    each: tuple[Any, ...]
+
+
+def unpack(chunks: Any, count: int) -> Any:
+    """The inverse of ``pack``, of an array or of ``Parts``: ``(count, *rest)`` without the padding."""
     return _unpacked(chunks, count, jnp) if isinstance(chunks, Tracer) else jnp.asarray(unpack_on_host(chunks, count))
 
 
 def unpack_on_host(chunks: Any, count: int) -> Shaped[np.ndarray, "count *rest"]:
     """The same as a NumPy array."""
+    if isinstance(chunks, Parts):
+        return np.concatenate([_unpacked(np.asarray(part), count, np) for part in chunks.each])[:count]
     return _unpacked(np.asarray(chunks), count, np)
 
 
@@ -67,3 +113,92 @@ def over_chunks(kernel: Callable[..., Any], packed: Any, *arguments: Any) -> Any
     # for gradients: what is computed again stays in the cache, which is up to four times faster than to store it
     again = jax.checkpoint(lambda chunk: kernel(chunk, *arguments), prevent_cse=False)
     return jax.lax.map(again, packed)
+
+
+def once(values: Any) -> Any:
+    """The same; the compiler makes them one time, instead of again inside of everything that uses them."""
+    return jax.lax.optimization_barrier(values)
+
+
+class Pass:
+    """A function of chunks, jitted, that all cores work on; inside of jit, grad and the like it is one program.
+
+    Its first argument is an array ``(chunks, *rest, lanes)``, ``Parts`` of another pass, None, or a tuple of these;
+    its results have the chunks first; each of them is one array, or ``Parts``.
+    """
+
+    def __init__(self, function: Callable[..., Any], static_argnums: tuple[int, ...] = ()) -> None:
+        self._inside: Any = jax.jit(function, static_argnums=static_argnums)
+        self._program: Any = jax.jit(function, static_argnums=static_argnums, compiler_options=_OPTIONS)
+        update_wrapper(self, function)
+
+    def __call__(self, chunks: Any, *arguments: Any) -> Any:
+        """Run it, or make it part of what is being traced."""
+        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((chunks, arguments))):
+            return self._inside(chunks, *arguments)
+        parts = _split(chunks)
+        if len(parts) == 1:
+            return self._program(parts[0], *arguments)
+        double = jax.config.read("jax_enable_x64")
+
+        def work(part: Any) -> Any:
+            with jax.enable_x64(double):  # which every thread has to be told
+                return jax.block_until_ready(self._program(part, *arguments))
+
+        with ThreadPoolExecutor(len(parts) - 1) as others:
+            waiting = [others.submit(work, part) for part in parts[1:]]
+            found = [work(parts[0]), *(result.result() for result in waiting)]
+        return jax.tree.map(lambda *each: Parts(each), *found)
+
+    def clear_cache(self) -> None:
+        """Forget what was compiled."""
+        self._inside.clear_cache()
+        self._program.clear_cache()
+
+    def compiled(self) -> int:
+        """How many programs there are."""
+        return self._program._cache_size()
+
+
+def as_pass(*static_argnums: int) -> Callable[[Callable[..., Any]], Pass]:
+    """Decorates a function that ``Pass`` runs; the arguments of these numbers are static."""
+    return partial(Pass, static_argnums=static_argnums)
+
+
+def cores() -> int:
+    """On how many cores this process may run."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _split(chunks: Any) -> list[Any]:
+    """Views of the chunks of every core; all are of one size, so that one program is enough, of whole sizes only.
+
+    A number of chunks that cannot be shared evenly is worked on by fewer cores.
+    """
+    component = chunks if isinstance(chunks, tuple) and not isinstance(chunks, Parts) else (chunks,)
+    done = [len(part.each) for part in component if isinstance(part, Parts)]
+    leaves = [leaf for leaf in jax.tree.leaves(component) if leaf.ndim]
+    if done:
+        count = done[0]
+    elif all(_on_cpu(leaf) for leaf in leaves):
+        count = max(1, min(cores(), len(leaves[0]) // _FEWEST_CHUNKS))
+        while len(leaves[0]) % count:
+            count -= 1
+    else:
+        count = 1
+    if count == 1 and not done:
+        return [chunks]
+    split = list(zip(*(_shared(part, count) for part in component), strict=True))
+    return split if isinstance(chunks, tuple) and not isinstance(chunks, Parts) else [part for (part,) in split]
+
+
+def _shared(part: Any, count: int) -> list[Any]:
+    if isinstance(part, Parts):
+        return list(part.each)
+    if part is None:
+        return [None] * count
+    return np.split(np.asarray(part), count)
+
+
+def _on_cpu(leaf: Any) -> bool:
+    return isinstance(leaf, np.ndarray) or all(device.platform == "cpu" for device in leaf.devices())

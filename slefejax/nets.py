@@ -20,6 +20,7 @@ from slefejax.bezier import restrict
 from slefejax.maxima import larger, largest_along, smaller
 
 Lanes = Any  # (lanes,)
+_MOST_SLICES = 128
 Net = Any  # [[(lanes,), ...], ...] or (nu, nv, lanes)
 
 
@@ -95,6 +96,14 @@ def bilinear_times(corners: list[list[Lanes]], net: Net) -> Net:
         each(lambda c, k=corners[i][j]: c * k, combined(net, along_u[i], along_v[j])) for i in (0, 1) for j in (0, 1)
     ]
     return each(lambda *c: total(list(c)), *parts)
+
+
+def sum_of_sizes(control: Any) -> Lanes:
+    """The sum of the sizes of all numbers of ``(nu, nv, dim, lanes)``."""
+    nu, nv, dim, _ = control.shape
+    if nu * nv * dim > _MOST_SLICES:
+        return jnp.sum(jnp.abs(control), axis=(0, 1, 2))
+    return total([jnp.abs(control[i, j, a]) for i in range(nu) for j in range(nv) for a in range(dim)])
 
 
 def transposed(net: Net) -> Net:

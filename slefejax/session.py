@@ -148,16 +148,16 @@ class Session:
         packed, at = self._as_packed(), self._checked(pose)
         if self.moves:
             found["skinning and conversion"], packed = jax.make_jaxpr(self._move, return_shape=True)(self._tables, at)
-        boxes = None
+        boxes = (None, None)
         if self.request.method == "slefe":
             found["slefe boxes"], boxes = jax.make_jaxpr(boxes_pass, static_argnums=2, return_shape=True)(
                 packed, self._origin, self.request.fineness, self.request.smooth
             )
-        projection = Projection.of(view, self._dtype, None if boxes is None else self._origin)
-        needed = packed if boxes is None or packed.shape[3] == 4 else None
+        projection = Projection.of(view, self._dtype, None if boxes[0] is None else self._origin)
+        needed = packed if boxes[0] is None or packed.shape[3] == 4 else None
         scales = tuple(None if x is None else jnp.asarray(x, self._dtype) for x in self.request.numbers)
-        found["view"] = jax.make_jaxpr(view_pass, static_argnums=(4, 5))(
-            needed, boxes, projection, scales, self.request.method, self.request.fineness
+        found["view"] = jax.make_jaxpr(view_pass, static_argnums=(3, 4))(
+            (needed, *boxes), projection, scales, self.request.method, self.request.fineness
         )
         return found
 
@@ -183,7 +183,7 @@ class Session:
         return jax.tree.map(lambda x: jnp.asarray(x, self._dtype) if floating(x) else jnp.asarray(x), tables)
 
     def _as_packed(self) -> Any:
-        return jnp.asarray(layout.pack(self.scene.control.astype(self._dtype)))
+        return layout.pack(self.scene.control.astype(self._dtype))
 
     def _checked(self, pose: Any) -> Any:
         """What the pose pass takes: a Pose, or a number."""

@@ -38,6 +38,7 @@ from slefejax.maxima import blur, larger, sizes
 from slefejax.slefe_tables import build_table
 
 HIGHEST_DEGREE = 64
+_UNROLLED = 32  # entries of a table
 # Bounds in v that are b wider, or less, have second differences in u that are up to 2 b larger or smaller; with twice
 # that added to their sizes the smooth bounds in u are nowhere narrower than exact ones of exact ones.
 SECOND = 4.0
@@ -129,7 +130,7 @@ def slefe_boxes(patches: Patches, segments: Segments) -> Slefe:
     (5, 4, 4, 3)
     """
     patches = check_patches(patches, dims=None)
-    lower, upper = _outward_boxes(jnp.asarray(layout.pack(patches)), segment_pair(segments))
+    lower, upper = _outward_boxes(layout.pack(patches), segment_pair(segments))
     return Slefe(layout.unpack(lower, len(patches)), layout.unpack(upper, len(patches)))
 
 
@@ -162,32 +163,70 @@ class Smooth(NamedTuple):
 
 
 def enclose(coefficients: Float[Array, "n *rest"], segments: int, smooth: Smooth | None = None) -> tuple[Any, Any]:
-    """Lower and upper breakpoint values along the first axis, for use inside kernels."""
-    return enclose_at(coefficients[:, None], segments, smooth)
+    """Lower and upper breakpoint values along the first axis, for use inside kernels (2012, eq 2)."""
+    table = _table_of(coefficients, segments)
+    if smooth is not None or table.lower.size > _UNROLLED:
+        return enclose_at(coefficients[:, None], segments, smooth)
+    # slices first and one breakpoint after the other: with sums of arrays the compiler's code takes three times as long
+    slices = [coefficients[j] for j in range(coefficients.shape[0])]
+    signed = _signed([(a - b) + (c - b) for a, b, c in zip(slices, slices[1:], slices[2:], strict=False)], None)
+    columns = zip(
+        _breakpoints(coefficients, segments).tolist(), table.lower.T.tolist(), table.upper.T.tolist(), strict=True
+    )
+    bounds = [_bounds((slices[0], slices[-1]), signed, *column) for column in columns]
+    return jnp.stack([lower for lower, _ in bounds]), jnp.stack([upper for _, upper in bounds])
 
 
 def enclose_at(coefficients: Float[Array, "n b *rest"], segments: int, smooth: Smooth | None = None) -> tuple[Any, Any]:
-    """Breakpoint values ``(m+1, *rest)``, breakpoint k from the coefficients ``[:, k]`` (2012, eq 2).
-
-    upper = l + sum_j max(0, D_j) a_up_j + min(0, D_j) a_low_j; lower with max and min exchanged.
-    Every breakpoint has coefficients of its own, or, where b is 1, all have the same.
-    """
+    """Breakpoint values ``(m+1, *rest)``, breakpoint k from the coefficients ``[:, k]``; of b = 1 all from the same."""
     column = (slice(None),) + (None,) * (coefficients.ndim - 2)
-    t = (np.arange(segments + 1) / segments).astype(coefficients.dtype)[column]
-    lower = upper = (1 - t) * coefficients[0] + t * coefficients[-1]
+    table = _table_of(coefficients, segments)
+    signed = _signed(list(second_differences(coefficients)) if len(table.lower) else [], smooth)
+    numbers = (_breakpoints(coefficients, segments)[column], table.lower[:, *column], table.upper[:, *column])
+    return _bounds((coefficients[0], coefficients[-1]), signed, *numbers)
+
+
+def _table_of(coefficients: Any, segments: int) -> SlefeTable:
+    """In the dtype of the coefficients; without rows for degree 1."""
     degree = coefficients.shape[0] - 1
     if degree == 1:
-        return lower, upper
-    tables = _as_dtype(slefe_table(degree, segments), coefficients.dtype)
-    differences = list(second_differences(coefficients))
+        return SlefeTable(np.zeros((0, segments + 1)), np.zeros((0, segments + 1)))
+    return _as_dtype(slefe_table(degree, segments), coefficients.dtype)
+
+
+def _breakpoints(coefficients: Any, segments: int) -> np.ndarray:
+    return (np.arange(segments + 1) / segments).astype(coefficients.dtype)
+
+
+def _signed(differences: list[Any], smooth: Smooth | None) -> list[tuple[Any, Any]]:
+    """max(0, D_j) and min(0, D_j), or smooth ones."""
     # ``larger`` does not propagate NaN: inputs are checked apart
     exact = (larger(difference, jnp.zeros_like(difference)) for difference in differences)
-    positives = exact if smooth is None else smooth.positive_parts(differences)
-    for difference, positive, low, up in zip(differences, positives, tables.lower, tables.upper, strict=True):
-        negative = difference - positive
-        upper = upper + (positive * up[column] + negative * low[column])
-        lower = lower + (positive * low[column] + negative * up[column])
+    positives = exact if smooth is None or not differences else smooth.positive_parts(differences)
+    return [(positive, difference - positive) for difference, positive in zip(differences, positives, strict=True)]
+
+
+def _bounds(ends: tuple[Any, Any], signed: list[tuple[Any, Any]], t: Any, low: Any, up: Any) -> tuple[Any, Any]:
+    """Lower and upper values at t, from those of the tables there (2012, eq 2).
+
+    upper = l + sum_j max(0, D_j) a_up_j + min(0, D_j) a_low_j; lower with max and min exchanged.
+    """
+    lower = upper = _sum([(1 - t, ends[0]), (t, ends[1])])
+    for (positive, negative), a, b in zip(signed, low, up, strict=True):
+        lower = _sum([(a, positive), (b, negative)], lower)
+        upper = _sum([(b, positive), (a, negative)], upper)
     return lower, upper
+
+
+def _sum(products: list[tuple[Any, Any]], start: Any = None) -> Any:
+    """The start plus the sum of products, without those with a number that is 0."""
+    terms = [
+        value if isinstance(weight, float) and weight == 1.0 else weight * value
+        for weight, value in products
+        if not (isinstance(weight, float) and weight == 0.0)
+    ]
+    whole = sum(terms[1:], terms[0]) if terms else None
+    return whole if start is None else start if whole is None else start + whole
 
 
 def outward(bounds: tuple[Any, Any], coefficients: Float[Array, "n *rest"], segments: int) -> tuple[Any, Any]:
@@ -226,10 +265,10 @@ def enclose_patch(
         across = Smooth(temperature, (1, 2) if control.shape[2:3] == (3,) else (1,))
         wider = SECOND * across.blur(jnp.swapaxes(control, 0, 1)[:, None], segments[1])
         along = Smooth(temperature, across.alike, jnp.swapaxes(wider, 0, 1))
-    across_lower, across_upper = enclose(jnp.swapaxes(control, 0, 1), segments[1], across)
+    across_lower, across_upper = layout.once(enclose(jnp.swapaxes(control, 0, 1), segments[1], across))
     lower, _ = enclose(jnp.swapaxes(across_lower, 0, 1), segments[0], along)
     _, upper = enclose(jnp.swapaxes(across_upper, 0, 1), segments[0], along)
-    return lower, upper
+    return layout.once((lower, upper))
 
 
 @lru_cache(maxsize=512)
@@ -262,6 +301,6 @@ def outward_patch(control: Float[Array, "nu nv *rest"], segments: tuple[int, int
     return lower[0], upper[1]
 
 
-@jax.jit(static_argnums=1)
+@layout.as_pass(1)
 def _outward_boxes(packed: Any, segments: tuple[int, int]) -> tuple[Any, Any]:
     return layout.over_chunks(outward_patch, packed, segments)

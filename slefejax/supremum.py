@@ -118,14 +118,14 @@ def cell_errors(
     """
     with jax.enable_x64(True):
         lanes = np.column_stack([patch, cells, windows]).astype(np.float64)
-        packed = jnp.asarray(layout.pack(lanes))
-        found = _cells_jit(packed, jnp.asarray(surface.control), jnp.asarray(surface.size))
+        packed = layout.pack(lanes)
+        found = _cells_pass(packed, jnp.asarray(surface.control), jnp.asarray(surface.size))
         error, a, b = np.asarray(layout.unpack(found, len(lanes))).T
         return error, a, b
 
 
-@jax.jit
-def _cells_jit(packed: Any, control: Any, size: Any) -> Any:
+@layout.as_pass()
+def _cells_pass(packed: Any, control: Any, size: Any) -> Any:
     return layout.over_chunks(_cell_kernel, packed, control, size)
 
 

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -46,7 +45,7 @@ def slefe_tiles(patches: Patches, segments: Segments) -> Slefe:
     """
     patches = check_patches(patches)
     check_weights(patches)
-    lower, upper = _tiles_jit(jnp.asarray(layout.pack(patches)), segment_pair(segments))
+    lower, upper = _tiles_pass(layout.pack(patches), segment_pair(segments))
     return Slefe(layout.unpack(lower, len(patches)), layout.unpack(upper, len(patches)))
 
 
@@ -64,8 +63,8 @@ def check_weights(patches: Any) -> None:
         )
 
 
-@jax.jit(static_argnums=1)
-def _tiles_jit(packed: Any, segments: tuple[int, int]) -> tuple[Any, Any]:
+@layout.as_pass(1)
+def _tiles_pass(packed: Any, segments: tuple[int, int]) -> tuple[Any, Any]:
     return layout.over_chunks(_tiles, packed, segments)
 
 

@@ -132,15 +132,15 @@ def _sample(
         return np.zeros(0), np.zeros((0, 3))
     with jax.enable_x64(True):
         lanes = np.column_stack([patch, parameters.reshape(-1, 6), corners.reshape(-1, 9)])
-        packed = jnp.asarray(layout.pack(lanes))
+        packed = layout.pack(lanes)
         found = np.asarray(
-            layout.unpack(_triangles_jit(packed, jnp.asarray(surface.control), jnp.asarray(surface.size)), len(lanes))
+            layout.unpack(_triangles_pass(packed, jnp.asarray(surface.control), jnp.asarray(surface.size)), len(lanes))
         )
     return found[:, 0], found[:, 1:]
 
 
-@jax.jit
-def _triangles_jit(packed: Any, control: Any, size: Any) -> Any:
+@layout.as_pass()
+def _triangles_pass(packed: Any, control: Any, size: Any) -> Any:
     return layout.over_chunks(_triangle_kernel, packed, control, size)
 
 

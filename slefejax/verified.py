@@ -7,7 +7,6 @@ lattice, so that its values there are its largest. Nothing is sampled in the sen
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -127,17 +126,17 @@ def _line(index: np.ndarray, levels: np.ndarray, points: np.ndarray | None) -> n
 def _cells_hold(nets: Nets, patch: np.ndarray, low: np.ndarray, sides: np.ndarray) -> np.ndarray:
     with jax.enable_x64(True):
         lanes = np.column_stack([patch, low, sides]).astype(np.float64)
-        packed = jnp.asarray(layout.pack(np.pad(lanes, [(0, -len(lanes) % layout.LANES), (0, 0)], mode="edge")))
+        packed = layout.pack(lanes, layout.MANY_LANES)
         arrays = [jnp.asarray(x) for x in nets[:5]]
-        return np.asarray(layout.unpack(_cells_jit(packed, *arrays, nets.rows), len(lanes)))
+        return np.asarray(layout.unpack(_cells_pass(packed, *arrays, nets.rows), len(lanes)))
 
 
-@partial(jax.jit, static_argnums=6)
-def _cells_jit(packed: Any, control: Any, half: Any, bends: Any, sizes: Any, floor: Any, rows: int) -> Any:
+@layout.as_pass(6)
+def _cells_pass(packed: Any, control: Any, half: Any, bends: Any, sizes: Any, floor: Any, rows: int) -> Any:
     def kernel(lanes: Any) -> Any:
         return _cell_holds(lanes, control, half, bends, sizes, floor, rows)
 
-    return jax.lax.map(kernel, packed)
+    return layout.over_chunks(kernel, packed)
 
 
 def _cell_holds(lanes: Any, control: Any, half: Any, bends: Any, sizes: Any, floor: Any, rows: int) -> Any:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -56,7 +55,7 @@ def _over_patches(patches: Patches, view: View, smooth: Any, segments: Any) -> A
     check_weights(patches)
     if not isinstance(view, View):
         raise InputError(f"the view must be a slefejax.View (a camera and a picture size), not {type(view).__name__}")
-    packed = jnp.asarray(layout.pack(patches))
+    packed = layout.pack(patches)
     projection = Projection.of(view, packed.dtype, line_of_sight(view, packed))
     smooth = None if smooth is None else jnp.asarray(smooth, packed.dtype)
     found = layout.unpack(_pass(packed, projection, smooth, segments), len(patches))
@@ -66,7 +65,7 @@ def _over_patches(patches: Patches, view: View, smooth: Any, segments: Any) -> A
     return found
 
 
-@partial(jax.jit, static_argnums=3)
+@layout.as_pass(3)
 def _pass(packed: Any, projection: Projection, smooth: Any, segments: Any) -> Any:
     kernel = _twist if segments is None else partial(_width, segments=segments)
 

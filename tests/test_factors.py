@@ -213,9 +213,9 @@ def test_one_compilation_a_configuration(teapot, main_view):
         view = View(Camera.look_at((6 * np.cos(angle), 6 * np.sin(angle), 3), (0, 0, 1)), 800, 600)
         for count in (20, 25, 32):
             slefe_factors(teapot.patches()[:count], view, tolerance=0.3 + angle)
-    assert compiled._cache_size() == 1
+    assert compiled.compiled() == 1
     slefe_factors(teapot.patches(), main_view, segments=2)
-    assert compiled._cache_size() == 2
+    assert compiled.compiled() == 2
 
 
 def test_tracing_gives_factors_but_no_edges(teapot, main_view):
