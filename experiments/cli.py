@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
+from pathlib import Path
 from typing import Any
 
 BAD_INPUT = 2
+NO_CACHE = "--no-cache"
 INTERRUPTED = 130
+_WORTH_KEEPING = 0.1  # seconds of compilation
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -27,15 +30,17 @@ def _run(arguments: list[str] | None) -> int:
     from slefejax.errors import InputError, NoOpenGLError, OpenGLError
     from slefejax.experiments.commands import Command
 
+    given = sys.argv[1:] if arguments is None else arguments
     command = tyro.cli(
         Command,  # type: ignore[arg-type]
         prog="slefejax",
-        description="How finely must a curved surface be tessellated? Predict it, render it, measure it.",
-        args=arguments,
+        description="How finely must a curved surface be tessellated? Predict it, render it, measure it."
+        f" {NO_CACHE} anywhere: compiled programs are not kept.",
+        args=[argument for argument in given if argument != NO_CACHE],
         config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitSubcommandPrefixes),
     )
     try:
-        _start_jax()
+        _start_jax(keep=NO_CACHE not in given)
         report: Any = command.run()
     except (InputError, NoOpenGLError) as error:
         return _fail(str(error))
@@ -48,18 +53,39 @@ def _run(arguments: list[str] | None) -> int:
     return _show(report)
 
 
-def _start_jax() -> None:
-    """float64, and a device to compute on. Raises InputError if the one that was asked for is not there."""
+def _start_jax(keep: bool) -> None:
+    """float64, a device to compute on, and a folder for compiled programs, unless they are not to be kept.
+
+    Raises InputError if the device that was asked for is not there.
+    """
     import jax
 
     from slefejax.errors import InputError
 
     jax.config.update("jax_enable_x64", True)
+    if keep:
+        _keep_programs()
     try:
         jax.devices()
     except RuntimeError as error:
         reason = str(error).splitlines()[0]
         raise InputError(f"JAX finds no device ({reason}): unset JAX_PLATFORMS, or set it to cpu") from None
+
+
+def _keep_programs() -> None:
+    """In JAX_COMPILATION_CACHE_DIR or the user's cache folder; where nothing can be written, nothing is kept."""
+    import jax
+
+    folder = os.environ.get("JAX_COMPILATION_CACHE_DIR")
+    if not folder:
+        root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        folder = str(Path(root) / "slefejax" / f"jax-{jax.__version__}")
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return
+    jax.config.update("jax_compilation_cache_dir", folder)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", _WORTH_KEEPING)
 
 
 def _show(report: Any) -> int:

@@ -6,17 +6,17 @@
 >>> factors = sj.tessellation_factors(scene.patches(), view, segments=3, tolerance=0.5)
 """
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from slefejax.bspline import bspline_slefe, bspline_slefe_boxes
 from slefejax.budget import Budget, distance_for_budget, real_triangles, tolerance_for_budget
 from slefejax.conversion.scheme import Conversion, convert
-from slefejax.curves import curve_constant
 from slefejax.deviation import edge_turns, side_turns, surface_distance
 from slefejax.errors import InputError, NoOpenGLError
 from slefejax.factors import Factors, tessellation_factors
-from slefejax.fitting import Fit, bootstrap_km, fit_km
 from slefejax.mesh import Mesh
 from slefejax.minimal import minimal_factors, minimal_pairs
-from slefejax.relaxing import Relaxed, fewer_triangles
 from slefejax.rig import Pose
 from slefejax.samples import Samples, measure_factors
 from slefejax.scene import Scene, load, save
@@ -30,6 +30,19 @@ from slefejax.tiles import slefe_tiles
 from slefejax.triangles import triangle_error
 from slefejax.view import Camera, View
 from slefejax.widths import screen_twists, screen_widths
+
+if TYPE_CHECKING:
+    from slefejax.curves import curve_constant
+    from slefejax.fitting import Fit, bootstrap_km, fit_km
+    from slefejax.relaxing import Relaxed, fewer_triangles
+
+# Modules that need packages which take long to import: imported when a name of theirs is first used.
+_LATER = {
+    "curves": ("curve_constant",),
+    "fitting": ("Fit", "bootstrap_km", "fit_km"),
+    "relaxing": ("Relaxed", "fewer_triangles"),
+}
+_MODULES = {name: module for module, names in _LATER.items() for name in names}
 
 __all__ = [
     "Budget",
@@ -82,3 +95,13 @@ __all__ = [
     "with_pieces",
     "worst_points",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 
 from slefejax.arguments import Patches, check_patches, is_whole
 from slefejax.edges import shared_edges
@@ -180,6 +179,8 @@ def _distance_root(patches: Any, view: View, sphere: Any, wanted: int, options: 
 
 def _root(excess: Callable[[Any, Any], Any], low: float, high: float, patches: Any) -> float:
     """Where the excess, which falls, changes its sign; the end that is nearer to that if it does not."""
+    import optimistix as optx  # slow to import
+
     solver = optx.Bisection(rtol=0.0, atol=1e-3, flip=True)
     with jax.enable_x64(True):
         ends = {"lower": jnp.asarray(low), "upper": jnp.asarray(high)}

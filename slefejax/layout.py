@@ -39,7 +39,7 @@ _OPTIONS = {"xla_cpu_prefer_vector_width": 512, "xla_disable_hlo_passes": "while
 
 
 def _padded_shape(count: int, fewest: int = _FEWEST_LANES) -> tuple[int, int]:
-    """(chunks, lanes) for ``count`` items: lanes a power of two; 1, 2, 3, 4, 6, 8, 12, 16 chunks, or eight sizes an octave.
+    """(chunks, lanes) for ``count`` items: lanes are a power of two; 1, 2, 3, 4, 6, 8, 12, 16 chunks, then 8 an octave.
 
     So at most a third of few chunks and an eighth of many are padding. Even numbers are shared by two cores.
     """
@@ -109,10 +109,12 @@ def over_chunks(kernel: Callable[..., Any], packed: Any, *arguments: Any) -> Any
     """``kernel(chunk, *arguments)`` for one chunk after the other; results are stacked along the first axis.
 
     packed : ``(chunks, *rest, lanes)``, or a tree of such arrays
+
+    Where no CPU computes, chunks are worked on side by side.
     """
     # for gradients: what is computed again stays in the cache, which is up to four times faster than to store it
     again = jax.checkpoint(lambda chunk: kernel(chunk, *arguments), prevent_cse=False)
-    return jax.lax.map(again, packed)
+    return jax.lax.map(again, packed) if jax.default_backend() == "cpu" else jax.vmap(again)(packed)
 
 
 def once(values: Any) -> Any:

@@ -21,7 +21,6 @@ from math import comb
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import brentq
 
 from slefejax.bezier import derivative, evaluate_curve, restrict
 
@@ -122,6 +121,8 @@ def _root(increasing: Callable[[float], float]) -> float:
         return 0.0
     if increasing(1.0) <= 0.0:
         return 1.0
+    from scipy.optimize import brentq  # here, since it takes longer to import than all of this package
+
     return float(brentq(increasing, 0.0, 1.0, xtol=1e-16, rtol=4 * np.finfo(float).eps))  # type: ignore[arg-type]
 
 

@@ -13,8 +13,6 @@ from collections import deque
 import numpy as np
 from jaxtyping import Float
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 from slefejax.edges import EDGES, edge_points
 from slefejax.errors import InputError
@@ -97,6 +95,8 @@ def _same_places(patches: np.ndarray) -> list[Pair]:
             continue
         edges, number = edges[long], number[long]
         # the sum of the points does not know the direction
+        from scipy.spatial import KDTree  # slow to import
+
         for i, j in sorted(KDTree(edges.sum(axis=1)).query_pairs(near * length * 2)):
             for backwards in (False, True):
                 if np.abs(edges[i] - (edges[j][::-1] if backwards else edges[j])).max() <= near:
@@ -118,6 +118,8 @@ def _made_equal(patches: np.ndarray, pairs: list[Pair]) -> np.ndarray:
     links = [(_edge(numbers, a), _edge(numbers, b)[:: -1 if backwards else 1]) for a, b, backwards in pairs]
     one, other = (np.concatenate(part) for part in zip(*links, strict=True))
     graph = coo_array((np.ones(len(one), bool), (one, other)), (numbers.size,) * 2)
+    from scipy.sparse.csgraph import connected_components  # slow to import
+
     _, place = connected_components(graph, directed=False)
     _, first = np.unique(place, return_index=True)
     return patches.reshape(-1, 4)[first[place]].reshape(patches.shape)

@@ -12,7 +12,6 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from slefejax.conversion.catmull_clark import refine
 from slefejax.io.content import Content
@@ -210,6 +209,8 @@ def _walk(names: list[str], parents: list[int], heads: np.ndarray) -> Motion:
     turns["chest"][:, 2] = 7.0 * np.sin(phase)
     turns["head"][:, 2] = -6.0 * np.sin(phase)
     turns["head"][:, 0] = 2.0 * np.cos(2.0 * phase)
+    from scipy.spatial.transform import Rotation  # slow to import
+
     rotations = np.stack([Rotation.from_euler("XYZ", turns[n], degrees=True).as_quat() for n in names], axis=1)
     offsets = heads - np.where(np.array(parents)[:, None] >= 0, heads[parents], 0.0)
     translations = np.repeat(offsets[None], len(times), axis=0)
