@@ -22,7 +22,7 @@ from slefejax.experiments.bench_stages import DOUBLE, ONCE, OPENGL, STAGES, Sett
 from slefejax.experiments.options import OutputOptions
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run
-from slefejax.figures.bench import write_growth, write_shares
+from slefejax.figures.bench import FRAME, write_growth, write_shares
 from slefejax.gpu import Device, open_device
 
 PRECISIONS = {"single": np.float32, "double": np.float64}
@@ -55,7 +55,8 @@ class Bench:
                 measured = run.each("cell", list(cells), lambda name: bench.rows(*cells[name]), show)
             rows = [row for cell in measured for row in cell["rows"]]
             write_growth(run.file("growth.png"), rows)
-            write_shares(run.file("shares.png"), rows)
+            if any(row["stage"] in FRAME for row in rows):
+                write_shares(run.file("shares.png"), rows)
             out = run.finish(rows, {"scene": None, "machine": machine})
         title = f"{machine['processor']}, {machine['cores']} cores; medians and 10 to 90 % of the runs in milliseconds"
         return Report(None, out, rows, title, as_json=self.output.json, shown=_SHOWN)

@@ -144,7 +144,10 @@ def plain_pixel_error(patches: np.ndarray, matrix: np.ndarray, u: Any, v: Any, p
     rows, columns = np.nonzero(patch >= 0)
     own = np.concatenate([patches, np.ones_like(patches[..., :1])], axis=-1)[patch[rows, columns]] @ matrix.T
     degrees = (patches.shape[1] - 1, patches.shape[2] - 1)
-    across = [np.stack(bernstein(degree, t[rows, columns]), axis=-1) for degree, t in zip(degrees, (u, v), strict=True)]
+    across = [
+        np.stack(bernstein(degree, t[rows, columns].astype(float)), axis=-1)
+        for degree, t in zip(degrees, (u, v), strict=True)
+    ]
     point = np.einsum("pi,pj,pijc->pc", *across, own, optimize=["einsum_path", (0, 2), (0, 1)])
     place = point[:, :2] / point[:, 3:]
     error = np.full(patch.shape, np.nan)

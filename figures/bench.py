@@ -13,7 +13,7 @@ from slefejax.figures.style import SETTINGS, new_figure, save
 Rows = list[dict[str, Any]]
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 _MARKS = "os^DvP*X"
-_FRAME = ("skinning", "stencils", "pose pass", "view pass", "draw", "read-back", "error image")
+FRAME = ("skinning", "stencils", "pose pass", "view pass", "draw", "read-back", "error image")
 
 
 def _own(rows: Rows, stage: str, cores: int, precision: str) -> dict[int, dict[str, Any]]:
@@ -57,17 +57,17 @@ def write_growth(path: Path, rows: Rows) -> None:
 
 def write_shares(path: Path, rows: Rows) -> None:
     """What a frame of the largest number of patches is made of, on one core."""
-    counts = sorted({row["count"] for row in rows if row["stage"] in _FRAME})
+    counts = sorted({row["count"] for row in rows if row["stage"] in FRAME})
     with mpl.rc_context(SETTINGS):
         figure = new_figure(12, 1.6 + 0.8 * len(counts))
         axes = figure.subplots()
         for line, count in enumerate(counts):
             times = []
-            for stage in _FRAME:
+            for stage in FRAME:
                 own = _own(rows, stage, 1, _precision(rows, stage)).get(count)
                 times.append(0.0 if own is None else own["median_ms"])
             start, whole = 0.0, sum(times) or 1.0
-            for k, (stage, value) in enumerate(zip(_FRAME, times, strict=True)):
+            for k, (stage, value) in enumerate(zip(FRAME, times, strict=True)):
                 share = 100 * value / whole
                 axes.barh(line, share, left=start, color=_COLOURS[k], label=stage if line == 0 else None)
                 if share > 5:
@@ -77,5 +77,5 @@ def write_shares(path: Path, rows: Rows) -> None:
         axes.set_xlabel("share of the time of a frame that is posed, predicted, drawn and measured (%)")
         axes.set_xlim(0, 100)
         axes.grid(visible=False)
-        figure.legend(loc="outside upper center", ncols=len(_FRAME), fontsize=10)
+        figure.legend(loc="outside upper center", ncols=len(FRAME), fontsize=10)
         save(figure, path)

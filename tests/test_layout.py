@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -40,3 +41,59 @@ def test_kernel_sees_one_chunk_at_a_time():
     result = layout.unpack(layout.over_chunks(kernel, packed, 1.0), 2500)
     assert set(shapes) == {(1, layout.LANES)}
     assert np.array_equal(result, items[:, 0] + 1.0)
+
+
+@layout.as_pass(2)
+def _scaled(chunks, factor, power):
+    first, second = chunks
+    both = layout.over_chunks(lambda own: own[0] * factor**power, first)
+    return both, both if second is None else layout.over_chunks(lambda own: own[0] + own[1], (both, second))
+
+
+@pytest.mark.parametrize("count", [5, 4096, 9000, 40_000])
+@pytest.mark.parametrize("cores", [1, 2, 3])
+def test_cores_change_nothing(count, cores, rng, monkeypatch):
+    """Nor do parts, which a second pass takes as they are."""
+    monkeypatch.setattr(layout, "cores", lambda: cores)
+    items = rng.normal(size=(count, 1))
+    packed = layout.pack(items)
+    first, same = _scaled((packed, None), 3.0, 2)
+    wanted = 9.0 * items[:, 0]
+    for found in (first, same):
+        np.testing.assert_array_equal(layout.unpack_on_host(found, count), wanted)
+    both = _scaled((packed, first), 3.0, 2)[1]
+    np.testing.assert_array_equal(layout.unpack_on_host(both, count), 2.0 * wanted)
+
+
+def test_parts_are_shared(rng, monkeypatch):
+    monkeypatch.setattr(layout, "cores", lambda: 2)
+    packed = layout.pack(rng.normal(size=(9000, 1)))
+    found = _scaled((packed, None), 3.0, 2)[0]
+    assert isinstance(found, layout.Parts)
+    assert [part.shape for part in found.each] == [(3, layout.LANES)] * 2
+
+
+def test_every_thread_has_the_precision_of_the_caller(rng, monkeypatch):
+    monkeypatch.setattr(layout, "cores", lambda: 2)
+    with jax.enable_x64(False):
+        packed = layout.pack(rng.normal(size=(9000, 1)).astype(np.float32))
+        found = _scaled((packed, None), 3.0, 2)[0]
+        assert {part.dtype for part in found.each} == {np.dtype(np.float32)}
+    packed = layout.pack(rng.normal(size=(9000, 1)))
+    assert {part.dtype for part in _scaled((packed, None), 3.0, 2)[0].each} == {np.dtype(np.float64)}
+
+
+def test_a_pass_inside_of_jit_and_grad(rng):
+    items = rng.normal(size=(9000, 1))
+    found = jax.jit(lambda x: layout.unpack(_scaled((layout.pack(x), None), 3.0, 2)[0], 9000))(items)
+    np.testing.assert_array_equal(found, 9.0 * items[:, 0])
+    slope = jax.grad(lambda x: layout.unpack(_scaled((layout.pack(x), None), 3.0, 2)[0], 9000).sum())(items)
+    np.testing.assert_array_equal(slope, np.full((9000, 1), 9.0))
+
+
+def test_other_devices_take_chunks_side_by_side(rng, monkeypatch):
+    packed = layout.pack(rng.normal(size=(9000, 2)))
+    kernel = lambda own, offset: own[0] * own[1] + offset  # noqa: E731
+    wanted = layout.over_chunks(kernel, packed, 1.0)
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    np.testing.assert_allclose(layout.over_chunks(kernel, packed, 1.0), wanted, rtol=1e-13, atol=1e-13)

@@ -1,0 +1,103 @@
+from __future__ import annotations
+
+import json
+import os
+from typing import Any
+
+import numpy as np
+import pytest
+
+from slefejax import layout, tessellation_factors
+from slefejax.error import pixel_error
+from slefejax.errors import InputError
+from slefejax.experiments import bench_peers as peers
+from slefejax.experiments.bench import Bench, machine_record, on_cores
+from slefejax.experiments.bench_stages import STAGES, Setting
+from slefejax.experiments.cli import main
+
+
+@pytest.fixture(scope="module")
+def setting():
+    return Setting(100, np.float64, None)
+
+
+@pytest.mark.parametrize("stage", ["stencils", "skinning", "pose pass", "view pass", "fused"])
+def test_stages_and_their_peers_do_the_same(setting, stage):
+    """To rounding in double precision."""
+    work = STAGES[stage](setting)
+    assert work.same is not None
+    own: Any = work.same(work.run())
+    compared = [work.same(other()) for other in work.peers.values()]
+    assert any(theirs is not None for theirs in compared)
+    for theirs in compared:
+        if theirs is not None:
+            np.testing.assert_allclose(own, theirs, rtol=1e-8, atol=1e-8)
+
+
+def test_peers_give_the_factors_of_the_library(setting):
+    patches, view = setting.patches, setting.view
+    wanted = np.asarray(tessellation_factors(patches, view, "slefe").factor)
+    moved = patches - np.asarray(setting.projection.origin)
+    plain = peers.plain_factors(peers.plain_boxes(moved, 3), setting.projection, 0.5, 3)
+    unrolled = peers.unrolled_factors(np.moveaxis(moved, 0, -1), setting.projection, 0.5, 3)
+    np.testing.assert_allclose(plain, wanted, rtol=1e-9)
+    np.testing.assert_allclose(unrolled, wanted, rtol=1e-9)
+
+
+def test_peer_of_the_error_image(setting, rng):
+    u, v = rng.uniform(size=(2, 30, 40)).astype(np.float32)
+    patch = rng.integers(-1, setting.count, (30, 40))
+    own = pixel_error(setting.patches, setting.view, u, v, patch)
+    theirs = peers.plain_pixel_error(setting.patches, np.asarray(setting.view.world_to_screen), u, v, patch)
+    np.testing.assert_allclose(own, theirs, rtol=1e-9)
+
+
+def test_command(tmp_path, capsys):
+    status = main(["bench", "--counts", "40", "--only", "fused", "table", "--quick", "--json", "--out", str(tmp_path)])
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    assert status == 0
+    assert {row["stage"] for row in rows} == {"fused", "table"}
+    assert all(row["median_ms"] > 0 and row["low_ms"] <= row["median_ms"] <= row["high_ms"] for row in rows)
+    assert {row["peer"] for row in rows if row["stage"] == "fused"} >= {"NumPy", "NumPy, unrolled"}
+    assert {path.name for path in tmp_path.iterdir()} == {"growth.png", "run.json", "table.csv"}
+
+
+@pytest.mark.parametrize(
+    ("options", "says"), [({"only": ("lunch",)}, "no stage 'lunch'"), ({"counts": (0,)}, "counts")]
+)
+def test_bad_options(options, says):
+    with pytest.raises(InputError, match=says):
+        Bench(**options).run()
+
+
+def test_cores_are_given_back():
+    before = layout.cores()
+    with on_cores(1):
+        assert layout.cores() == 1
+    assert layout.cores() == before
+
+
+def test_the_machine_is_described():
+    record: Any = machine_record()
+    assert record["cores"] == layout.cores()
+    assert record["processor"]
+
+
+def test_programs_are_kept_unless_that_is_not_wanted(tmp_path, monkeypatch, capsys):
+    import jax
+
+    before = (
+        jax.config.values["jax_compilation_cache_dir"],
+        jax.config.values["jax_persistent_cache_min_compile_time_secs"],
+    )
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
+    try:
+        assert main(["doctor", "--no-cache", "--json"]) == 0
+        assert not os.listdir(tmp_path)
+        assert main(["doctor", "--json"]) == 0
+        assert jax.config.values["jax_compilation_cache_dir"].startswith(str(tmp_path / "slefejax"))
+    finally:
+        jax.config.update("jax_compilation_cache_dir", before[0])
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", before[1])
+    capsys.readouterr()
