@@ -19,6 +19,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial, update_wrapper
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -32,6 +33,7 @@ _FEWEST_LANES = 32
 MANY_LANES = 512  # where batches of all sizes come one after the other
 _ALIGNMENT = 64  # bytes
 _FEW_CHUNKS = 16
+_MOST_MAPS = 40_000  # of the 65,530 that Linux allows
 _FEWEST_CHUNKS = 2  # for a core: with fewer of them threads cost more than they save
 # CPUs with registers of 512 bits are told to use them: up to a fifth faster than what the compiler prefers. What loops
 # over the tiles of a chunk could have in common stays inside of them: to load a hundred arrays takes longer.
@@ -122,6 +124,9 @@ def once(values: Any) -> Any:
     return jax.lax.optimization_barrier(values)
 
 
+_passes: list[Pass] = []
+
+
 class Pass:
     """A function of chunks, jitted, that all cores work on; inside of jit, grad and the like it is one program.
 
@@ -132,13 +137,21 @@ class Pass:
     def __init__(self, function: Callable[..., Any], static_argnums: tuple[int, ...] = ()) -> None:
         self._inside: Any = jax.jit(function, static_argnums=static_argnums)
         self._program: Any = jax.jit(function, static_argnums=static_argnums, compiler_options=_OPTIONS)
+        self._known = 0
+        _passes.append(self)
         update_wrapper(self, function)
 
     def __call__(self, chunks: Any, *arguments: Any) -> Any:
         """Run it, or make it part of what is being traced."""
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((chunks, arguments))):
             return self._inside(chunks, *arguments)
-        parts = _split(chunks)
+        found = self._run(_split(chunks), arguments)
+        if self.compiled() > self._known:
+            self._known = self.compiled()
+            _forget_if_many()
+        return found
+
+    def _run(self, parts: list[Any], arguments: tuple[Any, ...]) -> Any:
         if len(parts) == 1:
             return self._program(parts[0], *arguments)
         double = jax.config.read("jax_enable_x64")
@@ -156,10 +169,19 @@ class Pass:
         """Forget what was compiled."""
         self._inside.clear_cache()
         self._program.clear_cache()
+        self._known = 0
 
     def compiled(self) -> int:
         """How many programs there are."""
         return self._program._cache_size()
+
+
+def _forget_if_many() -> None:
+    """Programs consist of hundreds of mappings of memory each; where a process has too many of them, JAX crashes."""
+    maps = Path("/proc/self/maps")
+    if maps.exists() and maps.read_bytes().count(b"\n") > _MOST_MAPS:
+        for each in _passes:
+            each.clear_cache()
 
 
 def as_pass(*static_argnums: int) -> Callable[[Callable[..., Any]], Pass]:

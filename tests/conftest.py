@@ -43,6 +43,7 @@ settings.register_profile(
 )
 settings.load_profile("seeded")
 
+_MANY_MAPS = 20_000  # of 65,530 that Linux allows
 MODELS = Path(__file__).resolve().parents[2] / "shared" / "models"
 
 
@@ -86,3 +87,12 @@ def main_view(teapot):
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20261122)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def few_programs():
+    """A process may have so many mappings of memory, and each compiled program has some: forget them in time."""
+    yield
+    maps = Path("/proc/self/maps")
+    if maps.exists() and maps.read_bytes().count(b"\n") > _MANY_MAPS:
+        jax.clear_caches()

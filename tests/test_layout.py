@@ -97,3 +97,14 @@ def test_other_devices_take_chunks_side_by_side(rng, monkeypatch):
     wanted = layout.over_chunks(kernel, packed, 1.0)
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     np.testing.assert_allclose(layout.over_chunks(kernel, packed, 1.0), wanted, rtol=1e-13, atol=1e-13)
+
+
+def test_programs_are_forgotten_before_there_are_too_many(monkeypatch):
+    """Passes that have nothing to do with the one that compiles, too."""
+    other = layout.as_pass()(lambda own: own + 1.0)
+    one = layout.as_pass()(lambda own: 2.0 * own)
+    other(np.zeros((1, 1, 32)))
+    assert other.compiled() == 1
+    monkeypatch.setattr(layout, "_MOST_MAPS", 0)
+    np.testing.assert_array_equal(one(np.ones((1, 1, 32))), np.full((1, 1, 32), 2.0))
+    assert (one.compiled(), other.compiled()) == (0, 0)
