@@ -29,6 +29,8 @@ PRECISIONS = {"single": np.float32, "double": np.float64}
 COUNTS = (1000, 10_000, 141_000)
 _SECONDS = 1.5  # for the runs of one row
 _FEWEST, _MOST = 3, 25  # of them
+_COLUMNS = ("stage", "one core, ms", "10 to 90 %", "all cores, ms", "million a second", "first call, s", "memory, MB")
+_COLUMNS = (*_COLUMNS, "beside")
 _SHOWN = ("stage", "count", "precision", "cores", "median_ms", "low_ms", "high_ms", "million_per_s", "compile_s")
 _SHOWN = (*_SHOWN, "peak_mb", "peer", "peer_ms", "peer_ratio")
 
@@ -57,6 +59,7 @@ class Bench:
             write_growth(run.file("growth.png"), rows)
             if any(row["stage"] in FRAME for row in rows):
                 write_shares(run.file("shares.png"), rows)
+            run.file("benchmarks.md").write_text(as_markdown(rows, machine))
             out = run.finish(rows, {"scene": None, "machine": machine})
         title = f"{machine['processor']}, {machine['cores']} cores; medians and 10 to 90 % of the runs in milliseconds"
         return Report(None, out, rows, title, as_json=self.output.json, shown=_SHOWN)
@@ -167,6 +170,41 @@ def _difference(work: Work, other: Callable[[], Any]) -> float:
     if not found <= work.close:
         raise InputError(f"a stage and its peer differ by {found:.1e}: the benchmark compares different things")
     return found
+
+
+def as_markdown(rows: list[Row], machine: Row) -> str:
+    """A table a number of patches and precision, with a line a stage, under a description of the machine."""
+    lines = [", ".join(f"{name.replace('_', ' ')} {value}" for name, value in machine.items() if value is not None)]
+    kinds = dict.fromkeys((row["count"], row["precision"]) for row in rows)
+    for count, precision in kinds:
+        own = [row for row in rows if (row["count"], row["precision"]) == (count, precision)]
+        what = "Whatever the number of patches" if count == 1 else f"{count:,} patches"
+        lines += [
+            f"\n## {what}, {precision} precision\n",
+            f"| {' | '.join(_COLUMNS)} |",
+            "|---" * len(_COLUMNS) + "|",
+        ]
+        lines += [_line(stage, own) for stage in dict.fromkeys(row["stage"] for row in own)]
+    return "\n".join(lines) + "\n"
+
+
+def _line(stage: str, rows: list[Row]) -> str:
+    own = [row for row in rows if row["stage"] == stage]
+    first, last = own[0], own[-1]
+    beside = ", ".join(
+        f"{row['peer']} {row['peer_ms']:.3g} ms ({row['peer_ratio']:.3g} times)" for row in own if row["peer"]
+    )
+    cells = [
+        f"{stage} ({first['unit']})",
+        f"{first['median_ms']:.3g}",
+        f"{first['low_ms']:.3g} to {first['high_ms']:.3g}",
+        f"{last['median_ms']:.3g}",
+        f"{first['million_per_s']:.3g}",
+        f"{first['compile_s']:.2g}",
+        f"{first['peak_mb']:.3g}",
+        beside,
+    ]
+    return f"| {' | '.join(cells)} |"
 
 
 @contextmanager

@@ -59,7 +59,7 @@ def test_command(tmp_path, capsys):
     assert {row["stage"] for row in rows} == {"fused", "table"}
     assert all(row["median_ms"] > 0 and row["low_ms"] <= row["median_ms"] <= row["high_ms"] for row in rows)
     assert {row["peer"] for row in rows if row["stage"] == "fused"} >= {"NumPy", "NumPy, unrolled"}
-    assert {path.name for path in tmp_path.iterdir()} == {"growth.png", "run.json", "table.csv"}
+    assert {path.name for path in tmp_path.iterdir()} == {"benchmarks.md", "growth.png", "run.json", "table.csv"}
 
 
 @pytest.mark.parametrize(
