@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +64,7 @@ def _start_jax(keep: bool) -> None:
     from slefejax.errors import InputError
 
     jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_enable_compilation_cache", keep)
     if keep:
         _keep_programs()
     try:
@@ -76,6 +78,8 @@ def _keep_programs() -> None:
     """In JAX_COMPILATION_CACHE_DIR or the user's cache folder; where nothing can be written, nothing is kept."""
     import jax
 
+    # a disk that is full or a file cut off by a kill costs time to compile, and nobody has to do anything about it
+    warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
     folder = os.environ.get("JAX_COMPILATION_CACHE_DIR")
     if not folder:
         root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"

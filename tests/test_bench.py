@@ -89,15 +89,18 @@ def test_programs_are_kept_unless_that_is_not_wanted(tmp_path, monkeypatch, caps
     before = (
         jax.config.values["jax_compilation_cache_dir"],
         jax.config.values["jax_persistent_cache_min_compile_time_secs"],
+        jax.config.values["jax_enable_compilation_cache"],
     )
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
     try:
         assert main(["doctor", "--no-cache", "--json"]) == 0
         assert not os.listdir(tmp_path)
+        assert not jax.config.values["jax_enable_compilation_cache"]
         assert main(["doctor", "--json"]) == 0
         assert jax.config.values["jax_compilation_cache_dir"].startswith(str(tmp_path / "slefejax"))
     finally:
         jax.config.update("jax_compilation_cache_dir", before[0])
         jax.config.update("jax_persistent_cache_min_compile_time_secs", before[1])
+        jax.config.update("jax_enable_compilation_cache", before[2])
     capsys.readouterr()

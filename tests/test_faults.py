@@ -101,9 +101,9 @@ def start(folder: Path, *more: str, limit: int | None = None) -> subprocess.Pope
     limited = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))\n" if limit else ""
     program = limited + "from slefejax.experiments.cli import main; raise SystemExit(main())"
     command = [sys.executable, "-c", program, "minimality", "teapot", *SMALL, "--out", "out", *more]
-    # what is compiled would be cut off too, and be there for others
-    own = {name: value for name, value in os.environ.items() if name != "JAX_COMPILATION_CACHE_DIR"}
-    environment = os.environ if limit is None else own
+    # what is compiled is cut off too: a folder of its own, so that others do not find it
+    own = {} if limit is None else {"JAX_COMPILATION_CACHE_DIR": str(folder / "programs")}
+    environment = {**os.environ, **own}
     return subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
@@ -158,8 +158,12 @@ def test_a_full_disk_loses_nothing(device, tmp_path):
     assert process.returncode == 2
     assert said.decode().startswith("slefejax: the results could not be written")
     assert said.count(b"\n") == 1
+    assert any((tmp_path / "programs").iterdir()), "programs that are cut off are there, and nothing is said of them"
     rows = kept(tmp_path)
-    assert finished(start(tmp_path)) == 0
+    process = start(tmp_path, limit=1_000_000_000)
+    _, said = process.communicate()
+    assert process.returncode == 0
+    assert b"cache" not in said
     table = table_of(tmp_path / "out")
     assert len(table) == 4
     for row in rows:
