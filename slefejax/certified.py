@@ -100,7 +100,7 @@ def certified_factor(
         square = largest([square, jnp.where(least > 1.0, least, 0.0)], smooth)
     else:
 
-        def step(found: Lanes, matrices: tuple[Any, Any]) -> tuple[Lanes, None]:
+        def step(found: Lanes, matrices: tuple[Any, Any], rows_now: tuple[int, ...]) -> tuple[Lanes, None]:
             if unrolled:
                 # lanes all the same: with single numbers the compiler would split the loop
                 matrices = jax.tree.map(
@@ -108,12 +108,14 @@ def certified_factor(
                 )
             *rows, w = (nets.combined(net, *matrices) for net in (*screen.rows, screen.w))
             piece = Piece.of(screen, rows, w, tiles)
-            square = _square(screen, piece, bends[2], extent, measure, smooth=smooth)
+            square = _square(screen, piece, bends[2], extent, measure, smooth=smooth, numbers=rows_now)
             return largest([found, smaller(square, _last_visible(screen, piece, bends))], smooth), None
 
         matrices = nets.tile_matrices(control.shape[0], control.shape[1], tiles)
         matrices = jax.tree.map(lambda x: jnp.asarray(x, control.dtype), matrices)
-        square, _ = jax.lax.scan(step, jnp.zeros_like(screen.w_size), matrices)
+        square = jnp.zeros_like(screen.w_size)
+        for group in ((0, 1), (2,))[: len(screen.rows) - 1] if unrolled else (tuple(range(len(screen.rows))),):
+            square, _ = jax.lax.scan(partial(step, rows_now=group), square, matrices)
     rounded = 1.0 + 128.0 * jnp.finfo(control.dtype).eps
     # a bound that 1 fulfils is not rounded up: flat patches are one quad
     square = largest([square * rounded, jnp.ones_like(square)], smooth)
@@ -243,16 +245,19 @@ def _square(
     measure: Callable[..., Lanes],
     inverse: Lanes | None = None,
     smooth: Any = None,
+    numbers: tuple[int, ...] | None = None,
 ) -> Lanes:
     """n^2 at which the bound for the points of a tile is at most 1.
 
+    numbers : of the rows that are looked at; None: of all
     inverse : 1/n is at most that; None: what the second derivatives say
     """
     depth = _hessian(piece.w, extent)
     degree = sum(nets.degrees(piece.w))
     rounding = 2.0 * _ROUNDING * screen.eps * (degree**2 / 8.0 + degree**3 / 24.0 + degree**4 / 72.0)
     squares = []
-    for k, (row, ends, size) in enumerate(zip(piece.rows, piece.ends, screen.sizes, strict=True)):
+    for k in range(len(piece.rows)) if numbers is None else numbers:
+        row, ends, size = piece.rows[k], piece.ends[k], screen.sizes[k]
         remainder = _remainder(screen.rows[k], screen.w, ends, extent, smooth)
         hessian = _hessian(row, extent)
         tops = [nets.top(_measured(measure, s, hessian, depth, piece.inverse), smooth) for s in ends]

@@ -5,9 +5,11 @@ Kernels run with the patches along the last axis (``slefejax.layout``): control 
 
 from __future__ import annotations
 
+from functools import partial, reduce
 from itertools import chain, product
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -18,7 +20,7 @@ from slefejax import layout, nets
 from slefejax.bezier import bernstein
 from slefejax.maxima import extent, larger, largest, largest_along, smaller
 from slefejax.nets import Net
-from slefejax.slefe import SECOND, Smooth, enclose_at, enclose_patch
+from slefejax.slefe import SECOND, Smooth, box_at, enclose_at, enclose_patch
 from slefejax.view import View
 
 Grid = Float[Array, "bu bv lanes"]
@@ -81,6 +83,77 @@ def slefe_factor(
     """max(tau_xy, tau_z) (2012, eq 10), at least 1 where a tile is on the screen, 0 elsewhere."""
     boxes = enclose_patch(control, segments, smooth)
     return factor_of_boxes(boxes, control, projection, tolerance, depth_tolerance, k, smooth, segments)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(3,))
+def slefe_factors(
+    packed: Float[Array, "chunks nu nv 3 lanes"],
+    projection: Projection,
+    scales: tuple[Any, Any, Any],
+    segments: tuple[int, int],
+) -> Float[Array, "chunks lanes"]:
+    """``slefe_factor`` of all chunks of polynomial patches; NaN for those that are harmful.
+
+    scales : tolerance, depth tolerance or None, k
+    """
+    return layout.over_chunks(partial(_decided, segments=segments), packed, projection, *scales)[0]
+
+
+@slefe_factors.defjvp
+def _slopes(segments: tuple[int, int], at: tuple, along: tuple) -> tuple:
+    """Those of the widest box alone: the others have no part in the largest width, nor in its derivative.
+
+    A loop of its own finds it: in one loop with the rest the compiler would do that again wherever it is needed.
+    """
+    packed, projection, scales = at
+    factor, places = layout.over_chunks(partial(_decided, segments=segments), packed, projection, *scales)
+
+    def there(packed: Any, projection: Projection, scales: tuple[Any, Any, Any]) -> Any:
+        return layout.over_chunks(partial(_factor_there, segments=segments), (packed, places), projection, *scales)
+
+    slope = jax.jvp(there, at, along)[1]
+    return factor, select(factor > 0, slope, jnp.zeros_like(slope))
+
+
+def _decided(
+    control: Any, projection: Projection, tolerance: Any, depth_tolerance: Any, k: Any, segments: tuple[int, int]
+) -> tuple[Any, list[Any]]:
+    """The factor, and the numbers of the widest box and, if there is a depth tolerance, of the deepest."""
+    lower, upper = enclose_patch(projection.relative(control), segments)
+    factor = factor_of_boxes((lower, upper), None, projection, tolerance, depth_tolerance, k, None, segments)
+    inside = inside_of_tiles(lower, upper, projection.frustum)
+    widths = projected_widths(lower, upper, projection, depth_tolerance is not None)
+    places = [_widest(width, inside) for width in widths if width is not None]
+    return jnp.where(harmless(control, projection), factor, jnp.nan), places
+
+
+def _factor_there(
+    given: tuple[Any, list[Any]],
+    projection: Projection,
+    tolerance: Any,
+    depth_tolerance: Any,
+    k: Any,
+    segments: tuple[int, int],
+) -> Any:
+    """tau of these boxes alone."""
+    control, places = given
+    control = projection.relative(control)
+    boxes = [box_at(control, divmod(place, segments[1] + 1), segments) for place in places]
+    widths = [
+        projected_widths(low[None, None], high[None, None], projection, depth_tolerance is not None)[which][0, 0]
+        for which, (low, high) in enumerate(boxes)
+    ]
+    demand = largest([width / own for width, own in zip(widths, (tolerance, depth_tolerance), strict=False)])
+    return tau(demand, k, max(segments))
+
+
+def harmless(control: Any, projection: Projection, scale: Any = 1.0) -> Any:
+    """Whether all control points are finite, and small enough for their images, over a scale, to be."""
+    # the sum of their sizes, which costs less than the largest of them and is not much more
+    reach, eye = nets.sum_of_sizes(control), jnp.max(jnp.abs(projection.origin))
+    reach = reach + eye * (reach if control.shape[2] == 4 else 1.0)
+    # a sum of four products of points and matrix entries, differences of such sums, and the picture's size
+    return jnp.isfinite(64 * (reach / scale) * jnp.max(jnp.abs(projection.frustum)))
 
 
 def line_of_sight(view: View, packed: Any) -> Any:
@@ -210,11 +283,32 @@ def visible_maximum(width: Grid, inside: Net, smooth: Any = None) -> Float[Array
 
 
 def _visible_soft_maximum(width: Grid, inside: Net, smooth: Any) -> Float[Array, "lanes"]:
-    """Softly: a box counts once, if any of its tiles is on the screen."""
+    """Softly: a box counts once."""
+    return largest_along(jnp.where(_seen_boxes(inside), width, 0.0), (0, 1), smooth)
+
+
+def _seen_boxes(inside: Net) -> Any:
+    """Whether any of the tiles around a box is on the screen, ``(bu, bv, lanes)``."""
     tiles = jnp.stack([jnp.stack(list(row)) for row in inside])
     around = jnp.pad(tiles, ((1, 1), (1, 1), (0, 0)), constant_values=-1.0)
-    seen = jnp.asarray(_tile_maxima(around)) >= 0
-    return largest_along(jnp.where(seen, width, 0.0), (0, 1), smooth)
+    return jnp.asarray(_tile_maxima(around)) >= 0
+
+
+def _widest(width: Grid, inside: Net) -> Any:
+    """The number of the first of the widest boxes that belong to a tile on the screen, counted along v first."""
+    if not isinstance(inside, list):
+        seen = jnp.where(_seen_boxes(inside), width, -1.0)
+        return jnp.argmax(seen.reshape(-1, seen.shape[-1]), axis=0).astype(np.int32)
+    most = jnp.full_like(width[0, 0], -1.0)
+    number = jnp.zeros(most.shape, np.int32)
+    for i, j in np.ndindex(*width.shape[:2]):
+        tiles = [
+            inside[a][b] for a in (i - 1, i) for b in (j - 1, j) if 0 <= a < len(inside) and 0 <= b < len(inside[0])
+        ]
+        wider = (width[i, j] > most) & (reduce(larger, tiles) >= 0)
+        most = select(wider, width[i, j], most)
+        number = select(wider, jnp.full_like(number, i * width.shape[1] + j), number)
+    return number
 
 
 def _unrolled(grid: Any) -> bool:

@@ -13,14 +13,14 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from slefejax import layout, nets
+from slefejax import layout
 from slefejax.arguments import Number, Patches, Segments, check_patches, check_positive
 from slefejax.certificate import Certificate
 from slefejax.certified import certified_factors
 from slefejax.drawn import drawn_levels
 from slefejax.edges import check_edge_numbers, edge_maxima, shared_edges
 from slefejax.errors import InputError
-from slefejax.estimate import Boxes, Projection, factor_of_boxes, line_of_sight, slefe_factor
+from slefejax.estimate import Boxes, Projection, factor_of_boxes, harmless, line_of_sight, slefe_factor, slefe_factors
 from slefejax.request import Request
 from slefejax.rings import Pattern
 from slefejax.rules import RULES, on_screen
@@ -264,7 +264,9 @@ def view_pass(
         factor: Any = certified_factors(packed, projection, scales, fineness)
         fine = layout.over_chunks(_harmless_over_scales, packed, projection, *scales[:2])
         return jnp.where(fine & ~bad, factor, jnp.nan)
-    if lower is not None:
+    if method == "slefe" and lower is None and packed.shape[3] == 3 and scales[3] is None:
+        factor = slefe_factors(packed, projection, scales[:3], fineness)
+    elif lower is not None:
         kernel = partial(_from_boxes, segments=fineness)
         factor = layout.over_chunks(kernel, (lower, upper, packed), projection, *scales)
     else:
@@ -287,7 +289,7 @@ def _out_of_range(scales: tuple[Any, ...], method: str) -> Any:
 def _from_boxes(seen: Any, projection: Projection, *scales: Any, segments: tuple[int, int]) -> Any:
     lower, upper, control = seen
     # boxes of control points that are not finite are not finite either
-    fine = _harmless(lower, projection) & _harmless(upper, projection)
+    fine = harmless(lower, projection) & harmless(upper, projection)
     if control is not None:
         control = projection.relative(control)
     factor = factor_of_boxes((lower, upper), control, projection, *scales, segments=segments)
@@ -308,27 +310,18 @@ def _unless_bad(kernel: Callable[..., Any]) -> Callable[..., Any]:
 
     def checked(control: Any, projection: Projection, *arguments: Any) -> Any:
         found = kernel(projection.relative(control), projection, *arguments)
-        return jnp.where(_harmless(control, projection), found, jnp.nan)
+        return jnp.where(harmless(control, projection), found, jnp.nan)
 
     return checked
 
 
 def _harmless_over_scales(control: Any, projection: Projection, *scales: Any) -> Any:
     """The same where control points are divided by each of these scales too."""
-    fine = _harmless(control, projection)
+    fine = harmless(control, projection)
     for scale in scales:
         if scale is not None:
-            fine &= _harmless(control, projection, scale)
+            fine &= harmless(control, projection, scale)
     return fine
-
-
-def _harmless(control: Any, projection: Projection, scale: Any = 1.0) -> Any:
-    """Whether all control points are finite, and small enough for their images, over a scale, to be."""
-    # the sum of their sizes, which costs less than the largest of them and is not much more
-    reach, eye = nets.sum_of_sizes(control), jnp.max(jnp.abs(projection.origin))
-    reach = reach + eye * (reach if control.shape[2] == 4 else 1.0)
-    # a sum of four products of points and matrix entries, differences of such sums, and the picture's size
-    return jnp.isfinite(64 * (reach / scale) * jnp.max(jnp.abs(projection.frustum)))
 
 
 def _check_result(factor: np.ndarray, make_patches: Callable[[], Any]) -> None:

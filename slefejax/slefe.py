@@ -271,6 +271,22 @@ def enclose_patch(
     return layout.once((lower, upper))
 
 
+def box_at(control: Float[Array, "nu nv *rest lanes"], place: tuple[Any, Any], segments: tuple[int, int]) -> Any:
+    """Ends ``(*rest, lanes)`` of one box of ``enclose_patch`` a lane, at breakpoints (i, j), both ``(lanes,)``."""
+    across = _enclose_there(jnp.swapaxes(control, 0, 1), segments[1], place[1])
+    return _enclose_there(across[0], segments[0], place[0])[0], _enclose_there(across[1], segments[0], place[0])[1]
+
+
+def _enclose_there(coefficients: Float[Array, "n *rest lanes"], segments: int, breakpoint: Any) -> tuple[Any, Any]:
+    """Lower and upper values ``(*rest, lanes)`` at one breakpoint a lane."""
+    table = _table_of(coefficients, segments)
+    signed = _signed(list(second_differences(coefficients)) if len(table.lower) else [], None)
+    numbers = [
+        jnp.asarray(x)[..., breakpoint] for x in (_breakpoints(coefficients, segments), table.lower, table.upper)
+    ]
+    return _bounds((coefficients[0], coefficients[-1]), signed, numbers[0], numbers[1], numbers[2])
+
+
 @lru_cache(maxsize=512)
 def _cast_outwards(degree: int, segments: int, name: str) -> SlefeTable:
     dtype, table = np.dtype(name), slefe_table(degree, segments)
