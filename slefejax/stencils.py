@@ -24,6 +24,7 @@ from slefejax.errors import InputError
 WIDTHS = (1, 2, 3, 4, 6, 9, 12, 16, 20, 24, 32)
 _GROWTH = 1.5
 _UNROLLED = 32
+_REGISTER = 4  # numbers
 
 
 @jax.tree_util.register_pytree_node_class
@@ -209,19 +210,29 @@ def _clean(matrix: Any) -> StencilTable:
 
 @jax.jit
 def _apply_jit(values: Any, groups: Any, order: Any) -> Any:
-    """Gather, weight, sum, with the inputs along the last axis, where gathers of single numbers run fastest."""
-    flat = values.reshape(values.shape[0], -1).T
+    """Gather, weight, sum: inputs in rows of a whole register, which are gathered at one go."""
+    flat = values.reshape(values.shape[0], -1)
     if not jnp.issubdtype(flat.dtype, jnp.floating):
         flat = flat.astype(jax.dtypes.canonicalize_dtype(np.float64))
-    sums = jnp.concatenate([_weighted(flat, *group) for group in groups], axis=1)[:, order]
-    return sums.T.reshape(len(order), *values.shape[1:])
+    count = flat.shape[1]
+    missing = -count % _REGISTER if count > 1 else 0
+    if missing:
+        # copies, not zeros: whatever is not finite stays where it was
+        flat = jnp.concatenate([flat, *[flat[:, :1]] * missing], axis=1)
+    sums = jnp.concatenate([_weighted(flat, *group) for group in groups])
+    return _rows(sums, order)[:, :count].reshape(len(order), *values.shape[1:])
 
 
 def _weighted(flat: Any, index: Any, weight: Any) -> Any:
-    weight = weight.astype(flat.dtype)
+    weight = weight.astype(flat.dtype)[..., None]
     if index.shape[0] > _UNROLLED:
-        return jnp.sum(weight * flat[:, index], axis=1)
-    total = weight[0] * flat[:, index[0]]
+        return jnp.sum(weight * _rows(flat, index), axis=0)
+    total = weight[0] * _rows(flat, index[0])
     for k in range(1, index.shape[0]):
-        total = total + weight[k] * flat[:, index[k]]
+        total = total + weight[k] * _rows(flat, index[k])
     return total
+
+
+def _rows(values: Any, index: Any) -> Any:
+    """Rows of numbers that are known to exist."""
+    return values.at[index].get(mode="promise_in_bounds", wrap_negative_indices=False)
