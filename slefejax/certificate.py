@@ -22,7 +22,6 @@ _RATIOS = 2.0 ** (np.arange(-20, 21) / 4.0)  # of n_u to n_v that are tried
 _SMALLER_STEPS = 4  # how often each of a pair is made smaller by one, where that is still allowed
 _STEPS = 6  # towards the longest triangle
 _JUST_BELOW = 0.995  # where a step aims: a length that is not quite allowed is worth nothing
-_BATCH = 2**16
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +64,7 @@ class Certificate:
         evenness : of boxes with sides from so many times that on, ``(n,)`` or a number; 0: of all smaller boxes
         """
         numbers = np.column_stack([extents, np.broadcast_to(evenness, len(nets))])
-        return self.scale * self._in_batches(_boxes_pass, nets, numbers, self.tiles)
+        return self.scale * self._through(_boxes_pass, nets, numbers, self.tiles)
 
     def grids_keep(self, patch: Int[np.ndarray, "n"], levels: Int[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         """Whether patches keep the tolerance on grids of that many cells along u and v, even and as they are drawn."""
@@ -87,7 +86,7 @@ class Certificate:
     ) -> Float[np.ndarray, "n"]:
         """How long triangles of any shape may be along an axis of a net, between two lengths; 0 if never so short."""
         numbers = np.stack([along, shortest, longest], axis=1)
-        return self._in_batches(_longest_pass, nets, numbers, self.scale, self.tiles)
+        return self._through(_longest_pass, nets, numbers, self.scale, self.tiles)
 
     def for_all_boxes(self, levels: Int[np.ndarray, "patches 2"]) -> Int[np.ndarray, "patches 2"]:
         """Levels in the ratio of those given from which on all grids keep the tolerance, raised along u, v or both.
@@ -134,16 +133,11 @@ class Certificate:
             best[fine] = smaller[fine]
         return best
 
-    def _in_batches(
-        self, compiled: Callable[..., Any], nets: np.ndarray, numbers: np.ndarray, *more: Any
-    ) -> np.ndarray:
-        dtype, found = self.patches.dtype, []
-        for at in range(0, len(nets), _BATCH):
-            own = [np.asarray(x[at : at + _BATCH], dtype) for x in (nets, numbers)]
-            packed = tuple(layout.pack(x, layout.MANY_LANES) for x in own)
-            chunks = compiled(packed, self.projection, self.tolerances, *more)
-            found.append(np.asarray(layout.unpack(chunks, len(own[0])), np.float64))
-        return np.concatenate(found) if found else np.zeros(0)
+    def _through(self, compiled: Callable[..., Any], nets: np.ndarray, numbers: np.ndarray, *more: Any) -> np.ndarray:
+        def run(packed: Any) -> Any:
+            return compiled(packed, self.projection, self.tolerances, *more)
+
+        return layout.through(run, (nets, numbers), self.patches.dtype).astype(np.float64)
 
 
 @layout.as_pass(3)

@@ -138,13 +138,12 @@ def _factor_there(
     """tau of these boxes alone."""
     control, places = given
     control = projection.relative(control)
-    boxes = [box_at(control, divmod(place, segments[1] + 1), segments) for place in places]
-    widths = [
-        projected_widths(low[None, None], high[None, None], projection, depth_tolerance is not None)[which][0, 0]
-        for which, (low, high) in enumerate(boxes)
-    ]
-    demand = largest([width / own for width, own in zip(widths, (tolerance, depth_tolerance), strict=False)])
-    return tau(demand, k, max(segments))
+    demands = []
+    for which, place in enumerate(places):
+        low, high = box_at(control, divmod(place, segments[1] + 1), segments)
+        width: Any = projected_widths(low[None, None], high[None, None], projection, depth_tolerance is not None)[which]
+        demands.append(width[0, 0] / (tolerance, depth_tolerance)[which])
+    return tau(largest(demands), k, max(segments))
 
 
 def harmless(control: Any, projection: Projection, scale: Any = 1.0) -> Any:

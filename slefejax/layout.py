@@ -30,9 +30,9 @@ from jaxtyping import Array, Shaped
 
 LANES = 2048
 _FEWEST_LANES = 32
-MANY_LANES = 512  # where batches of all sizes come one after the other
 _ALIGNMENT = 64  # bytes
 _FEW_CHUNKS = 16
+_BLOCKS = (128, 512, 2048, 8192, 32768)
 _MOST_MAPS = 40_000  # of the 65,530 that Linux allows
 _FEWEST_CHUNKS = 2  # for a core: with fewer of them threads cost more than they save
 # CPUs with registers of 512 bits are told to use them: up to a fifth faster than what the compiler prefers. What loops
@@ -40,30 +40,53 @@ _FEWEST_CHUNKS = 2  # for a core: with fewer of them threads cost more than they
 _OPTIONS = {"xla_cpu_prefer_vector_width": 512, "xla_disable_hlo_passes": "while-loop-invariant-code-motion"}
 
 
-def _padded_shape(count: int, fewest: int = _FEWEST_LANES) -> tuple[int, int]:
+def _padded_shape(count: int) -> tuple[int, int]:
     """(chunks, lanes) for ``count`` items: lanes are a power of two; 1, 2, 3, 4, 6, 8, 12, 16 chunks, then 8 an octave.
 
     So at most a third of few chunks and an eighth of many are padding. Even numbers are shared by two cores.
     """
-    lanes = min(LANES, max(fewest, 1 << (count - 1).bit_length()))
+    lanes = min(LANES, max(_FEWEST_LANES, 1 << (count - 1).bit_length()))
     chunks = -(-count // lanes)
     step = 1 << max(0, chunks.bit_length() - (2 if chunks <= _FEW_CHUNKS else 4))
     return -(-chunks // step) * step, lanes
 
 
-def pack(
-    items: Shaped[Array | np.ndarray, "count *rest"], fewest: int = _FEWEST_LANES
-) -> Shaped[Array, "chunks *rest lanes"]:
-    """Items first ``(count, *rest)`` become chunks ``(chunks, *rest, lanes)``, padded with the last item.
-
-    fewest : lanes, a power of two; with more of them batches of different sizes have fewer shapes
-    """
-    chunks, lanes = _padded_shape(items.shape[0], fewest)
+def pack(items: Shaped[Array | np.ndarray, "count *rest"]) -> Shaped[Array, "chunks *rest lanes"]:
+    """Items first ``(count, *rest)`` become chunks ``(chunks, *rest, lanes)``, padded with the last item."""
+    chunks, lanes = _padded_shape(items.shape[0])
     if not isinstance(items, Tracer):
         return jax.device_put(_packed_on_host(np.asarray(items), chunks, lanes), may_alias=True)
     padding = jnp.broadcast_to(items[-1:], (chunks * lanes - items.shape[0], *items.shape[1:]))
     padded = jnp.concatenate([items, padding]).reshape(chunks, lanes, *items.shape[1:])
     return jnp.moveaxis(padded, 1, -1)
+
+
+def through(run: Callable[[Any], Any], items: Any, dtype: Any = None) -> Any:
+    """``run`` of packed items, block by block: for work of which every call has another number of items.
+
+    Blocks have one of a few sizes, so that few programs are compiled whatever the numbers; the last two may overlap.
+
+    run   : takes chunks, or a tuple of them, to chunks or ``Parts``
+    items : an array ``(count, *rest)``, or a tuple of such arrays
+    dtype : of the blocks; None: that of the items
+    """
+    count = len(jax.tree.leaves(items)[0])
+    size = next((size for size in _BLOCKS if size >= count), _BLOCKS[-1])
+    found = None
+    for start in [*range(0, count - size, size), max(count - size, 0)] if count else [0]:
+        block = jax.tree.map(lambda x, start=start: _filled(x[start : start + size], size, dtype), items)
+        own = unpack_on_host(run(jax.tree.map(pack, block)), size)
+        found = np.empty((count, *own.shape[1:]), own.dtype) if found is None else found
+        found[start : start + size] = own[: count - start]
+    return found
+
+
+def _filled(items: np.ndarray, size: int, dtype: Any) -> np.ndarray:
+    """As many items as that: the last one again and again, or zeros if there is none."""
+    missing = size - len(items)
+    fill = items[-1:] if len(items) else np.zeros((1, *items.shape[1:]))
+    items = np.concatenate([items, np.repeat(fill, missing, axis=0)]) if missing else items
+    return items if dtype is None else items.astype(dtype, copy=False)
 
 
 def _packed_on_host(items: np.ndarray, chunks: int, lanes: int) -> np.ndarray:
@@ -92,7 +115,10 @@ class Parts(NamedTuple):
 
 def unpack(chunks: Any, count: int) -> Any:
     """The inverse of ``pack``, of an array or of ``Parts``: ``(count, *rest)`` without the padding."""
-    return _unpacked(chunks, count, jnp) if isinstance(chunks, Tracer) else jnp.asarray(unpack_on_host(chunks, count))
+    if isinstance(chunks, Tracer):
+        return _unpacked(chunks, count, jnp)
+    # jnp.asarray would compile a program for every count
+    return jax.device_put(unpack_on_host(chunks, count))
 
 
 def unpack_on_host(chunks: Any, count: int) -> Shaped[np.ndarray, "count *rest"]:

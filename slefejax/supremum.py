@@ -105,7 +105,9 @@ class Surface(NamedTuple):
         if bad.size:
             raise InputError(f"patch {bad[0]} (counted from 0) has control points that are not finite numbers")
         control: Any = homogeneous(np.asarray(patches, np.float64)) @ np.asarray(view.world_to_screen).T
-        return Surface(np.moveaxis(control, 0, -1), np.array([view.width, view.height], np.float64))
+        return Surface(
+            np.ascontiguousarray(np.moveaxis(control, 0, -1)), np.array([view.width, view.height], np.float64)
+        )
 
 
 def cell_errors(
@@ -118,9 +120,8 @@ def cell_errors(
     """
     with jax.enable_x64(True):
         lanes = np.column_stack([patch, cells, windows]).astype(np.float64)
-        packed = layout.pack(lanes)
-        found = _cells_pass(packed, jnp.asarray(surface.control), jnp.asarray(surface.size))
-        error, a, b = np.asarray(layout.unpack(found, len(lanes))).T
+        found = layout.through(lambda packed: _cells_pass(packed, surface.control, surface.size), lanes)
+        error, a, b = found.T
         return error, a, b
 
 

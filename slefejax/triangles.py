@@ -132,10 +132,7 @@ def _sample(
         return np.zeros(0), np.zeros((0, 3))
     with jax.enable_x64(True):
         lanes = np.column_stack([patch, parameters.reshape(-1, 6), corners.reshape(-1, 9)])
-        packed = layout.pack(lanes)
-        found = np.asarray(
-            layout.unpack(_triangles_pass(packed, jnp.asarray(surface.control), jnp.asarray(surface.size)), len(lanes))
-        )
+        found = layout.through(lambda packed: _triangles_pass(packed, surface.control, surface.size), lanes)
     return found[:, 0], found[:, 1:]
 
 

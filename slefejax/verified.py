@@ -126,9 +126,8 @@ def _line(index: np.ndarray, levels: np.ndarray, points: np.ndarray | None) -> n
 def _cells_hold(nets: Nets, patch: np.ndarray, low: np.ndarray, sides: np.ndarray) -> np.ndarray:
     with jax.enable_x64(True):
         lanes = np.column_stack([patch, low, sides]).astype(np.float64)
-        packed = layout.pack(lanes, layout.MANY_LANES)
         arrays = [jnp.asarray(x) for x in nets[:5]]
-        return np.asarray(layout.unpack(_cells_pass(packed, *arrays, nets.rows), len(lanes)))
+        return layout.through(lambda packed: _cells_pass(packed, *arrays, nets.rows), lanes)
 
 
 @layout.as_pass(6)

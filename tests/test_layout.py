@@ -99,6 +99,22 @@ def test_other_devices_take_chunks_side_by_side(rng, monkeypatch):
     np.testing.assert_allclose(layout.over_chunks(kernel, packed, 1.0), wanted, rtol=1e-13, atol=1e-13)
 
 
+@pytest.mark.parametrize("count", [0, 1, 129, 2048, 40_000])
+def test_through_a_pass_in_blocks(rng, count):
+    items = rng.normal(size=(count, 2))
+    found = layout.through(lambda packed: _scaled((packed, None), 3.0, 2)[0], items)
+    np.testing.assert_array_equal(found, 9.0 * items[:, 0])
+
+
+def test_any_numbers_of_items_are_a_few_programs(rng, monkeypatch):
+    monkeypatch.setattr(layout, "cores", lambda: 2)
+    own = layout.as_pass()(lambda chunks: 2.0 * chunks[:, 0])
+    for count in rng.integers(1, 100_000, 60):
+        items = rng.normal(size=(count, 2))
+        np.testing.assert_array_equal(layout.through(own, items), 2.0 * items[:, 0])
+    assert own.compiled() <= 5
+
+
 def test_programs_are_forgotten_before_there_are_too_many(monkeypatch):
     """Passes that have nothing to do with the one that compiles, too."""
     other = layout.as_pass()(lambda own: own + 1.0)
