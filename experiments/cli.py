@@ -11,6 +11,10 @@ from typing import Any
 BAD_INPUT = 2
 NO_CACHE = "--no-cache"
 INTERRUPTED = 130
+_DESCRIPTION = (
+    "How finely must a curved surface be tessellated? Predict it, render it, measure it."
+    f" {NO_CACHE} anywhere: compiled programs are not kept."
+)
 _WORTH_KEEPING = 0.1  # seconds of compilation
 
 
@@ -29,15 +33,16 @@ def _run(arguments: list[str] | None) -> int:
     import tyro
 
     from slefejax.errors import InputError, NoOpenGLError, OpenGLError
-    from slefejax.experiments.commands import Command
+    from slefejax.experiments.commands import COMMANDS, all_commands, command_of
 
     given = sys.argv[1:] if arguments is None else arguments
+    typed = [argument for argument in given if argument != NO_CACHE]
+    known = bool(typed) and typed[0] in COMMANDS
     command = tyro.cli(
-        Command,  # type: ignore[arg-type]
-        prog="slefejax",
-        description="How finely must a curved surface be tessellated? Predict it, render it, measure it."
-        f" {NO_CACHE} anywhere: compiled programs are not kept.",
-        args=[argument for argument in given if argument != NO_CACHE],
+        command_of(typed[0]) if known else all_commands(),
+        prog=f"slefejax {typed[0]}" if known else "slefejax",
+        description=None if known else _DESCRIPTION,
+        args=typed[known:],
         config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitSubcommandPrefixes),
     )
     try:

@@ -2,40 +2,37 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from functools import reduce
+from importlib import import_module
+from operator import or_
+from typing import Annotated, Any
 
 from tyro.conf import subcommand
 
-from slefejax.experiments.animate import Animate
-from slefejax.experiments.bench import Bench
-from slefejax.experiments.budget import BudgetOfScene
-from slefejax.experiments.certify import Certify
-from slefejax.experiments.doctor import Doctor
-from slefejax.experiments.error_time import ErrorTime
-from slefejax.experiments.factors import FactorsOfScene
-from slefejax.experiments.fit_km import FitKm
-from slefejax.experiments.inspect import Inspect
-from slefejax.experiments.minimality import Minimality
-from slefejax.experiments.optimise import Optimise
-from slefejax.experiments.scaling import Scaling
-from slefejax.experiments.sensitivity import SensitivityOfScene
-from slefejax.experiments.stability import Stability
-from slefejax.experiments.tightness import Tightness
+COMMANDS = {
+    "minimality": "Minimality",
+    "factors": "FactorsOfScene",
+    "inspect": "Inspect",
+    "animate": "Animate",
+    "certify": "Certify",
+    "fit-km": "FitKm",
+    "budget": "BudgetOfScene",
+    "sensitivity": "SensitivityOfScene",
+    "optimise": "Optimise",
+    "error-time": "ErrorTime",
+    "scaling": "Scaling",
+    "tightness": "Tightness",
+    "stability": "Stability",
+    "bench": "Bench",
+    "doctor": "Doctor",
+}
 
-Command = (
-    Annotated[Minimality, subcommand("minimality")]
-    | Annotated[FactorsOfScene, subcommand("factors")]
-    | Annotated[Inspect, subcommand("inspect")]
-    | Annotated[Animate, subcommand("animate")]
-    | Annotated[Certify, subcommand("certify")]
-    | Annotated[FitKm, subcommand("fit-km")]
-    | Annotated[BudgetOfScene, subcommand("budget")]
-    | Annotated[SensitivityOfScene, subcommand("sensitivity")]
-    | Annotated[Optimise, subcommand("optimise")]
-    | Annotated[ErrorTime, subcommand("error-time")]
-    | Annotated[Scaling, subcommand("scaling")]
-    | Annotated[Tightness, subcommand("tightness")]
-    | Annotated[Stability, subcommand("stability")]
-    | Annotated[Bench, subcommand("bench")]
-    | Annotated[Doctor, subcommand("doctor")]
-)
+
+def command_of(name: str) -> Any:
+    """The class of a command. Its module is imported only now: all of them take longer than a short command."""
+    return getattr(import_module(f"slefejax.experiments.{name.replace('-', '_')}"), COMMANDS[name])
+
+
+def all_commands() -> Any:
+    """One of the classes, chosen by its name."""
+    return reduce(or_, (Annotated[command_of(name), subcommand(name)] for name in COMMANDS))

@@ -32,7 +32,7 @@ LANES = 2048
 _FEWEST_LANES = 32
 _ALIGNMENT = 64  # bytes
 _FEW_CHUNKS = 16
-_BLOCKS = (128, 512, 2048, 8192, 32768)
+_BLOCKS = (128, 1024, 8192)
 _MOST_MAPS = 40_000  # of the 65,530 that Linux allows
 _FEWEST_CHUNKS = 2  # for a core: with fewer of them threads cost more than they save
 # CPUs with registers of 512 bits are told to use them: up to a fifth faster than what the compiler prefers. What loops
