@@ -24,6 +24,7 @@ from slefejax.slefe_tables import build_table
 SEGMENTS = 3
 TOLERANCE = 0.5
 _PAIR = (SEGMENTS, SEGMENTS)
+_MOST_SEARCHED = 2000  # patches
 _SHAKEN = 0.02  # of the teapot's coordinates, so that no two patches are the same
 _WHOLE = 1e-3  # relative; single precision loses up to that in differences of positions on the screen
 
@@ -88,9 +89,9 @@ class Setting:
 
     @cached_property
     def drawing(self) -> tuple[Renderer, View, Any]:
-        """The shaken patches, drawn with levels that their size on the screen asks for."""
+        """The shaken patches, and the levels of the estimate: certified ones of this many patches take minutes."""
         patches = self.patches.astype(np.float64)
-        return Renderer(patches, self.device), self.view, tessellation_factors(patches, self.view)
+        return Renderer(patches, self.device), self.view, tessellation_factors(patches, self.view, "slefe")
 
     def seen(self, method: str, fineness: Any, boxes: Boxes | None = None) -> Callable[[], Any]:
         """The view pass of a method."""
@@ -232,7 +233,7 @@ def _gradient(at: Setting, method: str, fineness: Any) -> Work:
 
 
 def draw(at: Setting) -> Work:
-    """One draw with certified levels, until OpenGL has finished."""
+    """One draw, until OpenGL has finished."""
     renderer, view, factors = at.drawing
     return Work(lambda: renderer.submit(view, factors.inner, factors.edges), at.count, "patches", {})
 
@@ -265,10 +266,10 @@ def error_image(at: Setting) -> Work:
 
 
 def sup_error(at: Setting) -> Work:
-    """The largest error of every patch over its domain, at certified levels."""
-    factors = at.drawing[2]
-    patches = at.patches.astype(np.float64)
-    return Work(lambda: worst_points(patches, factors.levels, at.view), at.count, "patches", {})
+    """The largest error of every patch over its domain; of the first ones only, where there are many."""
+    count = min(at.count, _MOST_SEARCHED)
+    levels, patches = at.drawing[2].levels[:count], at.patches[:count].astype(np.float64)
+    return Work(lambda: worst_points(patches, levels, at.view), count, "patches", {})
 
 
 STAGES: dict[str, Callable[[Setting], Work]] = {
