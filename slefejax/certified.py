@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial, reduce
+from math import perm
 from typing import Any, NamedTuple
 
 import jax
@@ -29,7 +30,6 @@ _UNROLLED = 16  # coefficients that are still unrolled
 _ROUNDING = 16.0  # a coefficient of a tile is wrong by at most half of this, in eps of the sum of its terms' sizes
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(3,))
 def certified_factors(
     packed: Float[Array, "chunks nu nv dim lanes"], projection: Projection, scales: tuple[Any, Any, Any], tiles: int
 ) -> Float[Array, "chunks lanes"]:
@@ -37,17 +37,26 @@ def certified_factors(
 
     scales : tolerance, depth tolerance and temperature, the last two or one None if they were not asked for
     """
-    return _over_chunks(packed, projection, scales, tiles)
+    # with constants: differentiation neither sees nor repeats this loop
+    factor = _over_chunks(*jax.lax.stop_gradient((packed, projection, scales)), tiles)
+    return _with_slopes(tiles, factor, packed, projection, scales)
 
 
-@certified_factors.defjvp
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _with_slopes(tiles: int, factor: Any, packed: Any, projection: Projection, scales: tuple) -> Any:
+    """The factors, with the derivatives of the same kernel on arrays: of the unrolled one they would take minutes."""
+    return factor
+
+
+@_with_slopes.defjvp
 def _derivative(tiles: int, at: tuple, along: tuple) -> tuple:
-    """That of the same kernel on arrays: of the unrolled one the compiler would take minutes."""
-    arrays = partial(_over_chunks, tiles=tiles, unrolled=False)
-    return certified_factors(*at, tiles), jax.jvp(arrays, at, along)[1]
+    arrays = partial(_over_chunks, tiles=tiles, unrolled=False, apart=True)
+    return at[0], jax.jvp(arrays, at[1:], along[1:])[1]
 
 
-def _over_chunks(packed: Any, projection: Any, scales: tuple[Any, Any, Any], tiles: int, unrolled: Any = None) -> Any:
+def _over_chunks(
+    packed: Any, projection: Any, scales: tuple, tiles: int, unrolled: bool | None = None, apart: bool = False
+) -> Any:
     def kernel(control: Any, projection: Any, tolerance: Any, depth_tolerance: Any, smooth: Any) -> Any:
         return certified_factor(
             projection.relative(control),
@@ -59,7 +68,7 @@ def _over_chunks(packed: Any, projection: Any, scales: tuple[Any, Any, Any], til
             smooth=smooth,
         )
 
-    return layout.over_chunks(kernel, packed, projection, *scales)
+    return layout.over_chunks(kernel, packed, projection, *scales, apart=apart)
 
 
 def certified_factor(
@@ -103,9 +112,8 @@ def certified_factor(
         def step(found: Lanes, matrices: tuple[Any, Any], rows_now: tuple[int, ...]) -> tuple[Lanes, None]:
             if unrolled:
                 # lanes all the same: with single numbers the compiler would split the loop
-                matrices = jax.tree.map(
-                    lambda x: jnp.broadcast_to(x[..., None], (*x.shape, screen.w_size.size)), matrices
-                )
+                lanes = screen.w_size.shape
+                matrices = jax.tree.map(lambda x: [[jnp.broadcast_to(c, lanes) for c in row] for row in x], matrices)
             *rows, w = (nets.combined(net, *matrices) for net in (*screen.rows, screen.w))
             piece = Piece.of(screen, rows, w, tiles)
             square = _square(screen, piece, bends[2], extent, measure, smooth=smooth, numbers=rows_now)
@@ -207,17 +215,24 @@ class Remainder(NamedTuple):
     fourth: Lanes  # over 288
 
 
-def _remainder(row: Net, w: Net, ends: tuple[Lanes, Lanes], extent: Extent, smooth: Any) -> Remainder:
-    """The fourth derivatives are differences of the third, times a degree: bounded by twice as much."""
-    tops = []
-    for i, j, times in _THIRD:
-        own, depth = (nets.derivative(net, i, j) for net in (row, w))
-        scale = times * extent[0] ** i * extent[1] ** j
+def _remainder(row: list[Net], w: list[Net], ends: tuple[Lanes, Lanes], extent: Extent, smooth: Any) -> Remainder:
+    """The fourth derivatives are differences of the third, times a degree: bounded by twice as much.
+
+    row, w : the polynomials and their third differences
+    """
+    tops, (du, dv) = [], nets.degrees(row[0])
+    for (i, j, times), own, depth in zip(_THIRD, row[1:], w[1:], strict=True):
+        scale = times * perm(du, i) * perm(dv, j) * extent[0] ** i * extent[1] ** j
         tops.append(scale * _largest_at(ends, own, depth, smooth) if nets.size(own) else jnp.zeros_like(ends[0]))
-    (uuu, uuv, uvv, vvv), (du, dv) = tops, nets.degrees(row)
+    uuu, uuv, uvv, vvv = tops
     by_u = max(du - 3, 0) * extent[0] * uuu + (4 * (du - 2) * extent[0] / 3 + (dv - 1) * extent[1]) * uuv
     by_v = max(dv - 3, 0) * extent[1] * vvv + (4 * (dv - 2) * extent[1] / 3 + (du - 1) * extent[0]) * uvv
     return Remainder(uuu + uuv, vvv + uvv, (by_u + by_v) / 144.0)
+
+
+def _third_differences(net: Net) -> list[Net]:
+    """The net, and its differences of third order."""
+    return [net, *(nets.differences(net, i, j) for i, j, _ in _THIRD)]
 
 
 def _least_square(screen: Screen, whole: Piece, extent: Extent, smooth: Any) -> Lanes:
@@ -252,13 +267,13 @@ def _square(
     numbers : of the rows that are looked at; None: of all
     inverse : 1/n is at most that; None: what the second derivatives say
     """
-    depth = _hessian(piece.w, extent)
+    depth, w = _hessian(piece.w, extent), _third_differences(screen.w)
     degree = sum(nets.degrees(piece.w))
     rounding = 2.0 * _ROUNDING * screen.eps * (degree**2 / 8.0 + degree**3 / 24.0 + degree**4 / 72.0)
     squares = []
     for k in range(len(piece.rows)) if numbers is None else numbers:
         row, ends, size = piece.rows[k], piece.ends[k], screen.sizes[k]
-        remainder = _remainder(screen.rows[k], screen.w, ends, extent, smooth)
+        remainder = _remainder(_third_differences(screen.rows[k]), w, ends, extent, smooth)
         hessian = _hessian(row, extent)
         tops = [nets.top(_measured(measure, s, hessian, depth, piece.inverse), smooth) for s in ends]
         second = largest(tops, smooth)

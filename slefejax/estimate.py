@@ -85,7 +85,6 @@ def slefe_factor(
     return factor_of_boxes(boxes, control, projection, tolerance, depth_tolerance, k, smooth, segments)
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(3,))
 def slefe_factors(
     packed: Float[Array, "chunks nu nv 3 lanes"],
     projection: Projection,
@@ -96,23 +95,32 @@ def slefe_factors(
 
     scales : tolerance, depth tolerance or None, k
     """
-    return layout.over_chunks(partial(_decided, segments=segments), packed, projection, *scales)[0]
+    # with constants: differentiation neither sees nor repeats this loop
+    constants = jax.lax.stop_gradient((packed, projection, *scales))
+    factor, places = layout.over_chunks(partial(_decided, segments=segments), *constants, apart=True)
+    return _with_slopes(segments, (factor, places), packed, projection, scales)
 
 
-@slefe_factors.defjvp
-def _slopes(segments: tuple[int, int], at: tuple, along: tuple) -> tuple:
-    """Those of the widest box alone: the others have no part in the largest width, nor in its derivative.
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _with_slopes(segments: tuple[int, int], found: tuple, packed: Any, projection: Projection, scales: tuple) -> Any:
+    """The factors that were found, with the derivatives of their widest boxes alone.
 
-    A loop of its own finds it: in one loop with the rest the compiler would do that again wherever it is needed.
+    The others have no part in the largest width. A loop of its own finds it: in one loop with the rest the compiler
+    would do that again wherever it is needed.
     """
-    packed, projection, scales = at
-    factor, places = layout.over_chunks(partial(_decided, segments=segments), packed, projection, *scales)
+    return found[0]
 
-    def there(packed: Any, projection: Projection, scales: tuple[Any, Any, Any]) -> Any:
-        return layout.over_chunks(partial(_factor_there, segments=segments), (packed, places), projection, *scales)
 
-    slope = jax.jvp(there, at, along)[1]
-    return factor, select(factor > 0, slope, jnp.zeros_like(slope))
+@_with_slopes.defjvp
+def _slopes(segments: tuple[int, int], at: tuple, along: tuple) -> tuple:
+    (factor, places), *given = at
+
+    def there(packed: Any, projection: Projection, scales: tuple) -> Any:
+        kernel = partial(_factor_there, segments=segments)
+        return layout.over_chunks(kernel, (packed, places), projection, *scales, apart=True)
+
+    slope = jax.jvp(there, tuple(given), along[1:])[1]
+    return factor, select(places[0] >= 0, slope, jnp.zeros_like(slope))
 
 
 def _decided(
@@ -123,8 +131,10 @@ def _decided(
     factor = factor_of_boxes((lower, upper), None, projection, tolerance, depth_tolerance, k, None, segments)
     inside = inside_of_tiles(lower, upper, projection.frustum)
     widths = projected_widths(lower, upper, projection, depth_tolerance is not None)
+    good = harmless(control, projection)
     places = [_widest(width, inside) for width in widths if width is not None]
-    return jnp.where(harmless(control, projection), factor, jnp.nan), places
+    places = [jnp.where(good, place, -1) for place in places]
+    return jnp.where(good, factor, jnp.nan), places
 
 
 def _factor_there(
@@ -259,18 +269,23 @@ def inside_of_tiles(lower: Any, upper: Any, frustum: Float[Array, "6 4"]) -> Net
         for low, high in ends
     ]
     inside: Net | None = None
-    for plane in frustum:
+    for plane, sizes in zip(_numbers(frustum), _numbers(jnp.abs(frustum)), strict=True):
+        weights = [weight for pair in zip(plane, sizes, strict=True) for weight in pair]
         # homogeneous points bring their own last coordinate
-        start: Any = 0.0 if len(boxes) == 4 else plane[3]
+        start = [] if len(boxes) == 4 else [plane[3]]
 
-        def reach(*parts: Any, plane: Any = plane, start: Any = start) -> Any:
-            places = enumerate(zip(parts[::2], parts[1::2], strict=True))
-            return start + sum(plane[a] * centre + jnp.abs(plane[a]) * half for a, (centre, half) in places)
+        def reach(*parts: Any, weights: Any = weights, start: Any = start) -> Any:
+            return nets.total([*start, *(weight * part for weight, part in zip(weights, parts, strict=False))])
 
         furthest = _tile_maxima(nets.each(reach, *chain(*boxes)))
         inside = furthest if inside is None else nets.each(smaller, inside, furthest)
     assert inside is not None
     return inside
+
+
+def _numbers(matrix: Any) -> list[list[Any]]:
+    """The entries, each taken out once: where they are used again and again, that is a third of the program."""
+    return [[row[a] for a in range(matrix.shape[1])] for row in matrix]
 
 
 def visible_maximum(width: Grid, inside: Net, smooth: Any = None) -> Float[Array, "lanes"]:
@@ -294,12 +309,13 @@ def _seen_boxes(inside: Net) -> Any:
 
 
 def _widest(width: Grid, inside: Net) -> Any:
-    """The number of the first of the widest boxes that belong to a tile on the screen, counted along v first."""
+    """The number of the first of the widest boxes that belong to a tile on the screen, counted along v first; or -1."""
     if not isinstance(inside, list):
-        seen = jnp.where(_seen_boxes(inside), width, -1.0)
-        return jnp.argmax(seen.reshape(-1, seen.shape[-1]), axis=0).astype(np.int32)
+        seen = jnp.where(_seen_boxes(inside), width, -1.0).reshape(-1, width.shape[-1])
+        number = jnp.argmax(seen, axis=0).astype(np.int32)
+        return jnp.where(jnp.max(seen, axis=0) >= 0, number, -1)
     most = jnp.full_like(width[0, 0], -1.0)
-    number = jnp.zeros(most.shape, np.int32)
+    number = jnp.full(most.shape, -1, np.int32)
     for i, j in np.ndindex(*width.shape[:2]):
         tiles = [
             inside[a][b] for a in (i - 1, i) for b in (j - 1, j) if 0 <= a < len(inside) and 0 <= b < len(inside[0])
@@ -329,12 +345,14 @@ def projected_widths(
 
     A corner with W below that of the near plane is measured in the near plane.
     """
-    matrix, ends = projection.to_pixels, (lower, upper)
+    matrix, ends = _numbers(projection.to_pixels), (lower, upper)
     parts = [[[row[a] * end[:, :, a] for end in ends] for a in range(3)] for row in matrix]
     rows = range(3) if with_depth else range(2)
     seen: list[list[Any]] = [[] for _ in rows]
     for corner in product((0, 1), repeat=3):
-        position = [sum(p[a][corner[a]] for a in range(3)) + row[3] for p, row in zip(parts, matrix, strict=True)]
+        position = [
+            nets.total([*(p[a][corner[a]] for a in range(3)), row[3]]) for p, row in zip(parts, matrix, strict=True)
+        ]
         inverse = 1.0 / larger(position[3], jnp.full_like(position[3], projection.near_w))
         for r in rows:
             seen[r].append(position[r] * inverse)

@@ -133,16 +133,23 @@ def _unpacked(chunks: Any, count: int, xp: Any) -> Any:
     return items.reshape(-1, *items.shape[2:])[:count]
 
 
-def over_chunks(kernel: Callable[..., Any], packed: Any, *arguments: Any) -> Any:
+def over_chunks(kernel: Callable[..., Any], packed: Any, *arguments: Any, apart: bool = False) -> Any:
     """``kernel(chunk, *arguments)`` for one chunk after the other; results are stacked along the first axis.
 
     packed : ``(chunks, *rest, lanes)``, or a tree of such arrays
+    apart  : every chunk has its own copy of the arguments. Programs that a user compiles then have nothing that could
+             be moved out of the loop, which takes the compiler longer than the rest where it is differentiated
 
     Where no CPU computes, chunks are worked on side by side.
     """
+    alone = jax.default_backend() == "cpu"
+    if apart and alone:
+        count = len(jax.tree.leaves(packed)[0])
+        copies = jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *jnp.shape(x))), arguments)
+        return over_chunks(lambda given: kernel(given[0], *once(given[1])), (packed, copies))
     # for gradients: what is computed again stays in the cache, which is up to four times faster than to store it
     again = jax.checkpoint(lambda chunk: kernel(chunk, *arguments), prevent_cse=False)
-    return jax.lax.map(again, packed) if jax.default_backend() == "cpu" else jax.vmap(again)(packed)
+    return jax.lax.map(again, packed) if alone else jax.vmap(again)(packed)
 
 
 def once(values: Any) -> Any:

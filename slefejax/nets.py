@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
-from math import comb
+from math import comb, perm
 from typing import Any
 
 import jax
@@ -63,13 +63,21 @@ def degrees(net: Net) -> tuple[int, int]:
 
 def derivative(net: Net, i: int, j: int) -> Net:
     """Coefficients of the derivative, i times by u and j times by v; none if it is identically 0 by degree."""
+    (du, dv), found = degrees(net), differences(net, i, j)
+    scale = perm(du, i) * perm(dv, j)
+    return each(lambda c: c * scale, found) if size(found) and scale != 1 else found
+
+
+def differences(net: Net, i: int, j: int) -> Net:
+    """Differences of neighbours, i times along u and j times along v; none if there are too few coefficients."""
     if not isinstance(net, list):
-        du, dv = degrees(net)
-        return combined(net, _differences(du, i), _differences(dv, j))
+        along_u, along_v = (
+            np.diff(np.eye(d + 1), order, axis=0) for d, order in zip(degrees(net), (i, j), strict=True)
+        )
+        return combined(net, along_u, along_v)
     for _ in range(i):
-        d = len(net) - 1
-        net = [[(b - a) * d if d != 1 else b - a for a, b in zip(*pair, strict=True)] for pair in pairwise(net)]
-    return transposed(derivative(transposed(net), j, 0)) if j and net else net
+        net = [[b - a for a, b in zip(*pair, strict=True)] for pair in pairwise(net)]
+    return transposed(differences(transposed(net), j, 0)) if j and net else net
 
 
 def raised(net: Net, du: int, dv: int) -> Net:
@@ -133,14 +141,6 @@ def _raising(low: int, high: int) -> np.ndarray:
         for k in range(max(0, i - high + low), min(low, i) + 1):
             raising[i, k] = comb(low, k) * comb(high - low, i - k) / comb(high, i)
     return raising
-
-
-def _differences(degree: int, order: int) -> np.ndarray:
-    """The matrix ``(degree+1-order, degree+1)`` that differentiates, without rows if nothing remains."""
-    matrix = np.eye(degree + 1)
-    for k in range(order):
-        matrix = (degree - k) * np.diff(matrix, axis=0)
-    return matrix
 
 
 def _times_linear(degree: int) -> list[list[list[float]]]:
