@@ -11,7 +11,8 @@ from slefejax import layout, tessellation_factors
 from slefejax.error import pixel_error
 from slefejax.errors import InputError
 from slefejax.experiments import bench_peers as peers
-from slefejax.experiments.bench import Bench, machine_record, on_cores
+from slefejax.experiments.bench import Bench, machine_record
+from slefejax.experiments.bench_process import Worker, on_cores
 from slefejax.experiments.bench_stages import STAGES, Setting
 from slefejax.experiments.cli import main
 
@@ -60,6 +61,15 @@ def test_command(tmp_path, capsys):
     assert all(row["median_ms"] > 0 and row["low_ms"] <= row["median_ms"] <= row["high_ms"] for row in rows)
     assert {row["peer"] for row in rows if row["stage"] == "fused"} >= {"NumPy", "NumPy, unrolled"}
     assert {path.name for path in tmp_path.iterdir()} == {"benchmarks.md", "growth.png", "run.json", "table.csv"}
+
+
+def test_a_process_that_ends_is_one_sentence():
+    with Worker(1, 0.01) as worker:
+        (row,) = worker.rows("table", 1, "double", False)
+        worker._process.kill()
+        with pytest.raises(InputError, match=r"table of 1 patches ended.*--counts"):
+            worker.rows("table", 1, "double", False)
+    assert row["cores"] == 1
 
 
 @pytest.mark.parametrize(
