@@ -72,7 +72,8 @@ def surface_on_screen(
         raise InputError(f"patch numbers must be from 0 to {len(patches) - 1}, not {patch.min()} to {patch.max()}")
     with jax.enable_x64(True):
         control: Any = homogeneous(np.asarray(patches, np.float64)) @ np.asarray(view.world_to_screen).T
-        control = np.ascontiguousarray(np.moveaxis(control, 0, -1))
+        # once, not for every block of samples
+        control = jax.device_put(np.ascontiguousarray(np.moveaxis(control, 0, -1)))
         samples = np.column_stack([u, v, patch]).astype(np.float64)
         return layout.through(lambda packed: _evaluate(packed, control), samples)
 

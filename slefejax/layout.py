@@ -29,24 +29,26 @@ from jax.core import Tracer
 from jaxtyping import Array, Shaped
 
 LANES = 2048
-_FEWEST_LANES = 32
+_FEWEST_LANES = 16
+_FEWEST_CHUNKS = 2
 _ALIGNMENT = 64  # bytes
 _FEW_CHUNKS = 16
 _BLOCKS = (128, 1024, 8192)
 _MOST_MAPS = 40_000  # of the 65,530 that Linux allows
-_FEWEST_CHUNKS = 2  # for a core: with fewer of them threads cost more than they save
+_FEWEST_SHARED = 2  # chunks for a core: with fewer of them threads cost more than they save
 # CPUs with registers of 512 bits are told to use them: up to a fifth faster than what the compiler prefers. What loops
 # over the tiles of a chunk could have in common stays inside of them: to load a hundred arrays takes longer.
 _OPTIONS = {"xla_cpu_prefer_vector_width": 512, "xla_disable_hlo_passes": "while-loop-invariant-code-motion"}
 
 
 def _padded_shape(count: int) -> tuple[int, int]:
-    """(chunks, lanes) for ``count`` items: lanes are a power of two; 1, 2, 3, 4, 6, 8, 12, 16 chunks, then 8 an octave.
+    """(chunks, lanes) for ``count`` items: lanes are a power of two; 2, 3, 4, 6, 8, 12, 16 chunks, then 8 an octave.
 
-    So at most a third of few chunks and an eighth of many are padding. Even numbers are shared by two cores.
+    So at most a third of few chunks and an eighth of many are padding. Even numbers are shared by two cores. There are
+    no loops over one chunk: XLA makes straight code of it, which takes twice as long in gradients.
     """
-    lanes = min(LANES, max(_FEWEST_LANES, 1 << (count - 1).bit_length()))
-    chunks = -(-count // lanes)
+    lanes = min(LANES, max(_FEWEST_LANES, 1 << (count - 1).bit_length() >> 1))
+    chunks = max(_FEWEST_CHUNKS, -(-count // lanes))
     step = 1 << max(0, chunks.bit_length() - (2 if chunks <= _FEW_CHUNKS else 4))
     return -(-chunks // step) * step, lanes
 
@@ -238,7 +240,7 @@ def _split(chunks: Any) -> list[Any]:
     if done:
         count = done[0]
     elif all(_on_cpu(leaf) for leaf in leaves):
-        count = max(1, min(cores(), len(leaves[0]) // _FEWEST_CHUNKS))
+        count = max(1, min(cores(), len(leaves[0]) // _FEWEST_SHARED))
         while len(leaves[0]) % count:
             count -= 1
     else:

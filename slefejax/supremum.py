@@ -105,9 +105,10 @@ class Surface(NamedTuple):
         if bad.size:
             raise InputError(f"patch {bad[0]} (counted from 0) has control points that are not finite numbers")
         control: Any = homogeneous(np.asarray(patches, np.float64)) @ np.asarray(view.world_to_screen).T
-        return Surface(
-            np.ascontiguousarray(np.moveaxis(control, 0, -1)), np.array([view.width, view.height], np.float64)
-        )
+        with jax.enable_x64(True):
+            # once, not for every block of cells
+            control = jax.device_put(np.ascontiguousarray(np.moveaxis(control, 0, -1)))
+        return Surface(control, np.array([view.width, view.height], np.float64))
 
 
 def cell_errors(

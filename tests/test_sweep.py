@@ -1,0 +1,33 @@
+from __future__ import annotations
+
+import jax
+import numpy as np
+
+from slefejax import tessellation_factors, worst_points
+from slefejax.error import pixel_error
+from slefejax.experiments.options import cameras_around
+from slefejax.gpu import Renderer
+
+_COMPILED = "/jax/core/compile/backend_compile_duration"
+
+
+def test_a_hundred_cameras_need_no_more_programs_than_the_first_few(teapot, device):
+    """Factors, levels, draw, error image, sup error."""
+    events: list[str] = []
+    jax.monitoring.register_event_duration_secs_listener(lambda event, _, **__: events.append(event))
+    patches, programs = teapot.patches(), []
+    renderer = Renderer(patches, device)
+    try:
+        for view in cameras_around(teapot, 160, 120, 100, 3):
+            for method in ("slefe", "certified"):
+                factors = tessellation_factors(patches, view, method, edge_numbers=teapot.edge_numbers)
+                seen = renderer.draw(view, factors.inner, factors.edges)
+                error = pixel_error(patches, view, seen.u, seen.v, seen.patch)
+                assert np.isfinite(error).any()
+            worst_points(patches[:3], factors.levels[:3], view)
+            programs.append(events.count(_COMPILED))
+    finally:
+        jax.monitoring.clear_event_listeners()
+        renderer.release()
+    assert programs[0] > 0, "otherwise nothing is counted"
+    assert programs[-1] == programs[9]
