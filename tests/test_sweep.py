@@ -14,7 +14,11 @@ _COMPILED = "/jax/core/compile/backend_compile_duration"
 def test_a_hundred_cameras_need_no_more_programs_than_the_first_few(teapot, device):
     """Factors, levels, draw, error image, sup error."""
     events: list[str] = []
-    jax.monitoring.register_event_duration_secs_listener(lambda event, _, **__: events.append(event))
+
+    def listen(event: str, duration: float, **_: str | int) -> None:
+        events.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
     patches, programs = teapot.patches(), []
     renderer = Renderer(patches, device)
     try:
