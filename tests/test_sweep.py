@@ -15,7 +15,7 @@ def test_a_hundred_cameras_need_no_more_programs_than_the_first_few(teapot, devi
     """Factors, levels, draw, error image, sup error."""
     events: list[str] = []
 
-    def listen(event: str, duration: float, **_: str | int) -> None:
+    def listen(event: str, duration_secs: float, **kwargs: str | int) -> None:
         events.append(event)
 
     jax.monitoring.register_event_duration_secs_listener(listen)
