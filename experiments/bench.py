@@ -66,7 +66,7 @@ class Bench:
     def _cells(self) -> dict[str, tuple[str, int, str]]:
         unknown = [name for name in self.only if name not in STAGES]
         if unknown:
-            raise InputError(f"there is no stage {unknown[0]!r}: choose among {', '.join(STAGES)}")
+            raise InputError(f"there is no stage {unknown[0]!r}: choose among {', '.join(map(repr, STAGES))}")
         if not self.counts or min(self.counts) < 1:
             raise InputError("--counts needs whole numbers of at least 1")
         counts = self.counts[:2] if self.quick else self.counts

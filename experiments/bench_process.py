@@ -1,7 +1,7 @@
 """Measurements of one stage, in a process of their own for every number of cores.
 
 A process that merely may not use all cores still has a thread for each of them, which take turns: JAX is up to a fifth
-slower there than where it found one core from the beginning. So is nobody's computer, and so nothing is measured.
+slower there than where it found one core from the beginning, as on a computer that has only one.
 """
 
 from __future__ import annotations

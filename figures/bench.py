@@ -13,6 +13,7 @@ from slefejax.figures.style import SETTINGS, new_figure, save
 Rows = list[dict[str, Any]]
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 _MARKS = "os^DvP*X"
+_PLATE = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5}  # one colour of bars is black
 FRAME = ("skinning", "stencils", "pose pass", "view pass", "draw", "read-back", "error image")
 
 
@@ -50,7 +51,7 @@ def write_growth(path: Path, rows: Rows) -> None:
         axes.set_xscale("log")
         axes.set_yscale("log")
         axes.set_xlabel("patches")
-        axes.set_ylabel("milliseconds, one core (median, 10 to 90 %)")
+        axes.set_ylabel("milliseconds on one core, single precision\nwhere there is any (median, 10 to 90 %)")
         figure.legend(loc="outside right upper", fontsize=10)
         save(figure, path)
 
@@ -58,24 +59,27 @@ def write_growth(path: Path, rows: Rows) -> None:
 def write_shares(path: Path, rows: Rows) -> None:
     """What a frame of the largest number of patches is made of, on one core."""
     counts = sorted({row["count"] for row in rows if row["stage"] in FRAME})
+    stages = [stage for stage in FRAME if any(row["stage"] == stage for row in rows)]
     with mpl.rc_context(SETTINGS):
         figure = new_figure(12, 1.6 + 0.8 * len(counts))
         axes = figure.subplots()
         for line, count in enumerate(counts):
             times = []
-            for stage in FRAME:
+            for stage in stages:
                 own = _own(rows, stage, 1, _precision(rows, stage)).get(count)
                 times.append(0.0 if own is None else own["median_ms"])
             start, whole = 0.0, sum(times) or 1.0
-            for k, (stage, value) in enumerate(zip(FRAME, times, strict=True)):
+            for k, (stage, value) in enumerate(zip(stages, times, strict=True)):
                 share = 100 * value / whole
                 axes.barh(line, share, left=start, color=_COLOURS[k], label=stage if line == 0 else None)
                 if share > 5:
-                    axes.text(start + share / 2, line, f"{value:.3g} ms", ha="center", va="center", fontsize=10)
+                    axes.text(
+                        start + share / 2, line, f"{value:.3g} ms", ha="center", va="center", fontsize=10, bbox=_PLATE
+                    )
                 start += share
         axes.set_yticks(range(len(counts)), [f"{count:,} patches" for count in counts])
-        axes.set_xlabel("share of the time of a frame that is posed, predicted, drawn and measured (%)")
+        axes.set_xlabel("share of what the measured stages of a frame take on one core (%)")
         axes.set_xlim(0, 100)
         axes.grid(visible=False)
-        figure.legend(loc="outside upper center", ncols=len(FRAME), fontsize=10)
+        figure.legend(loc="outside upper center", ncols=len(stages), fontsize=10)
         save(figure, path)

@@ -30,7 +30,7 @@ from jaxtyping import Array, Shaped
 
 LANES = 2048
 _FEWEST_LANES = 16
-_FEWEST_CHUNKS = 2
+_FEWEST_CHUNKS = 2  # at all
 _ALIGNMENT = 64  # bytes
 _FEW_CHUNKS = 16
 _BLOCKS = (128, 1024, 8192)
@@ -144,14 +144,14 @@ def over_chunks(kernel: Callable[..., Any], packed: Any, *arguments: Any, apart:
 
     Where no CPU computes, chunks are worked on side by side.
     """
-    alone = jax.default_backend() == "cpu"
-    if apart and alone:
+    in_turn = jax.default_backend() == "cpu"
+    if apart and in_turn:
         count = len(jax.tree.leaves(packed)[0])
         copies = jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *jnp.shape(x))), arguments)
         return over_chunks(lambda given: kernel(given[0], *once(given[1])), (packed, copies))
     # for gradients: what is computed again stays in the cache, which is up to four times faster than to store it
     again = jax.checkpoint(lambda chunk: kernel(chunk, *arguments), prevent_cse=False)
-    return jax.lax.map(again, packed) if alone else jax.vmap(again)(packed)
+    return jax.lax.map(again, packed) if in_turn else jax.vmap(again)(packed)
 
 
 def once(values: Any) -> Any:
