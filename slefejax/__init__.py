@@ -28,6 +28,7 @@ from slefejax.supremum import sampled_error, worst_points
 from slefejax.tessellator import with_pieces
 from slefejax.tiles import slefe_tiles
 from slefejax.triangles import triangle_error
+from slefejax.triangulation import Triangulation, triangulate
 from slefejax.view import Camera, View
 from slefejax.widths import screen_twists, screen_widths
 
@@ -61,6 +62,7 @@ __all__ = [
     "Session",
     "Slefe",
     "SlefeTable",
+    "Triangulation",
     "View",
     "bootstrap_km",
     "bspline_slefe",
@@ -92,6 +94,7 @@ __all__ = [
     "tessellation_factors",
     "tolerance_for_budget",
     "triangle_error",
+    "triangulate",
     "with_pieces",
     "worst_points",
 ]

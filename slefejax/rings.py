@@ -11,15 +11,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property
-from importlib import resources
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
 
+from slefejax.direct3d11 import ONE, places, rings
 from slefejax.errors import InputError
 from slefejax.tessellator import GRID, HIGHEST_LEVEL, OWN_AXIS, pieces_along, with_pieces
-
-UNIT = 2**16  # of the table in the file
 
 Pairs = Int[np.ndarray, "patches 2"]
 Edges = Int[np.ndarray, "patches 4"]
@@ -87,7 +85,7 @@ class Pattern:
         """
         own, keys, sets = self._sets
         # a little less: in a picture with patches in pieces all vertices are placed better than the pattern says
-        place = np.searchsorted(keys, inner + 0.5 * (longest - 2.0 / UNIT), side="right")
+        place = np.searchsorted(keys, inner + 0.5 * (longest - 2.0 / ONE), side="right")
         return sets[place] | own[inner]
 
     @cached_property
@@ -105,13 +103,15 @@ class Pattern:
 
 @cache
 def direct3d11() -> Pattern:
-    """The pattern of Direct3D 11's tessellator."""
-    text = resources.files("slefejax.data").joinpath("direct3d11.csv").read_text()
-    rows = [[int(x) / UNIT for x in line.split(",")] for line in text.splitlines() if not line.startswith("#")]
-    points, reach = np.ones((HIGHEST_LEVEL + 1, HIGHEST_LEVEL + 1)), np.zeros((HIGHEST_LEVEL + 1, HIGHEST_LEVEL + 1))
-    points[:, 0] = 0.0
-    for n, row in enumerate(rows, start=2):
-        reach[n, 1:], points[n, 1:n] = row[:HIGHEST_LEVEL], row[HIGHEST_LEVEL:]
+    """The pattern of Direct3D 11's tessellator (``slefejax.direct3d11``)."""
+    levels = np.arange(HIGHEST_LEVEL + 1)
+    points = places(levels[:, None], levels[:, None], np.minimum(levels, levels[:, None])) / ONE
+    points[0] = levels > 0
+    n, m = (x.ravel() for x in np.meshgrid(levels[2:], levels[1:], indexing="ij"))
+    pair, corners = rings(n, m)
+    level = np.where(corners >= 0, m[pair, None], n[pair, None])
+    reach = np.zeros((HIGHEST_LEVEL + 1, HIGHEST_LEVEL + 1))
+    np.maximum.at(reach, (n[pair], m[pair]), np.ptp(points[level, np.abs(corners)], axis=1))
     reach[1] = reach[2]
     return Pattern(points, reach)
 

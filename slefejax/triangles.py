@@ -40,8 +40,8 @@ def triangle_error(patches: Patches, triangles: Any, view: View) -> Float[np.nda
     """The largest error of every patch in pixels over the visible part of given triangles.
 
     patches   : control points ``(patches, du+1, dv+1, 3)``, or 4 at the end if rational
-    triangles : with ``.patch`` ``(triangles,)`` and ``.parameters`` ``(triangles, 3, 2)``: a ``DomainTriangles``, or
-                what ``slefejax.gpu.Renderer.capture`` returns
+    triangles : what ``slefejax.triangulate`` or ``slefejax.gpu.Renderer.capture`` returns, or anything else with
+                ``.patch`` ``(triangles,)`` and ``.parameters`` ``(triangles, 3, 2)``: a ``DomainTriangles``
     returns   : ``(patches,)`` float64, known to 1 % as in ``sampled_error``; 0 for a patch without a visible triangle
 
     Raises InputError for triangles of the wrong shape, or of patches that are not there.
@@ -65,8 +65,12 @@ def worst_triangle_points(patches: Patches, triangles: Any, view: View) -> Supre
 def _checked(triangles: Any, count: int) -> tuple[np.ndarray, np.ndarray]:
     try:
         patch, parameters = triangles.patch, triangles.parameters
+        if hasattr(triangles, "faces"):
+            patch, parameters = patch[triangles.faces[:, 0]], parameters[triangles.faces]
     except AttributeError:
-        raise InputError(f"triangles are what a draw captured, with patch and parameters, not {triangles!r}") from None
+        raise InputError(
+            f"triangles are what a draw captured, with patch and parameters, not {type(triangles).__name__}"
+        ) from None
     patch, parameters = whole_numbers(patch, "patch numbers"), real_numbers(parameters, "parameters")
     if patch.ndim != 1 or parameters.shape != (len(patch), 3, 2):
         raise InputError(

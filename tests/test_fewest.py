@@ -7,8 +7,9 @@ from itertools import product
 import numpy as np
 import pytest
 
+from slefejax.direct3d11 import ONE
 from slefejax.fewest import fewest_triangles, lowest
-from slefejax.rings import UNIT, direct3d11
+from slefejax.rings import direct3d11
 from slefejax.tessellator import OWN_AXIS, triangle_counts
 
 ROW = np.array([[0, 1, 2, 3], [2, 4, 5, 6], [5, 7, 8, 9]])  # three patches side by side
@@ -71,9 +72,9 @@ def test_edge_levels_are_those_whose_rings_are_short_enough(rng):
     pattern = direct3d11()
     inner = rng.integers(2, 65, 200)
     longest = np.concatenate(
-        [rng.uniform(0.0, 1.0, 100), pattern.reach[inner[100:], rng.integers(1, 65, 100)] + 2 / UNIT + 1e-9]
+        [rng.uniform(0.0, 1.0, 100), pattern.reach[inner[100:], rng.integers(1, 65, 100)] + 2 / ONE + 1e-9]
     )
     sets = pattern.edge_levels(inner, longest)
     for n, length, allowed in zip(inner, longest, sets, strict=True):
-        expected = [m for m in range(1, 65) if pattern.reach[n, m] + 2 / UNIT <= length or m == n]
+        expected = [m for m in range(1, 65) if pattern.reach[n, m] + 2 / ONE <= length or m == n]
         assert [m for m in range(1, 65) if int(allowed) >> (m - 1) & 1] == expected

@@ -12,7 +12,8 @@ _COMPILED = "/jax/core/compile/backend_compile_duration"
 
 
 def test_a_hundred_cameras_need_no_more_programs_than_the_first_few(teapot, device):
-    """Factors, levels, draw, error image, sup error."""
+    """Factors, levels, draw, error image, sup error. What other tests of this process compiled is forgotten first."""
+    jax.clear_caches()
     events: list[str] = []
 
     def listen(event: str, duration_secs: float, **kwargs: str | int) -> None:
