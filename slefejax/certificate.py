@@ -33,8 +33,8 @@ class Certificate:
     tolerances : in pixels, and of depth or None
     tiles      : along each side of a patch
     pattern    : of the tessellator
-    proof      : tells of patches (their numbers, levels) whether they can be proved cell by cell to keep the tolerance
-                 on the tessellator's grids; None: that is not tried
+    proof      : tells of patches (their numbers, levels, whether the picture has patches in pieces) whether they can be
+                 proved cell by cell to keep the tolerance on the tessellator's grids; None: that is not tried
     scale      : that of ``Factors.scaled``: with 0.9, levels are what the certificate asks for, times 0.9
     """
 
@@ -43,17 +43,17 @@ class Certificate:
     tolerances: tuple[Any, Any]
     tiles: int
     pattern: Pattern
-    proof: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
+    proof: Callable[[np.ndarray, np.ndarray, bool], np.ndarray] | None = None
     scale: float = 1.0
 
     def scaled(self, scale: float) -> Certificate:
         """The same for levels of so many times the fineness: what is proved for n is taken for scale times n."""
         proof = self.proof
 
-        def coarser(patch: np.ndarray, levels: np.ndarray) -> np.ndarray:
+        def coarser(patch: np.ndarray, levels: np.ndarray, in_pieces: bool) -> np.ndarray:
             assert proof is not None
             # a little more, so that 0.9 times 10 stands for 10
-            return proof(patch, np.maximum(np.floor(levels / scale + 1e-9).astype(np.int64), 1))
+            return proof(patch, np.maximum(np.floor(levels / scale + 1e-9).astype(np.int64), 1), in_pieces)
 
         return replace(self, scale=self.scale * scale, proof=None if proof is None else coarser)
 
@@ -67,15 +67,20 @@ class Certificate:
         numbers = np.column_stack([extents, np.broadcast_to(evenness, len(nets))])
         return self.scale * self._through(_boxes_pass, nets, numbers, self.tiles)
 
-    def grids_keep(self, patch: Int[np.ndarray, "n"], levels: Int[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        """Whether patches keep the tolerance on grids of that many cells along u and v, even and as they are drawn."""
+    def grids_keep(
+        self, patch: Int[np.ndarray, "n"], levels: Int[np.ndarray, "n 2"], in_pieces: bool = False
+    ) -> Bool[np.ndarray, "n"]:
+        """Whether patches keep the tolerance on grids of that many cells along u and v, even and as they are drawn.
+
+        in_pieces : in a picture with patches in pieces. Only proofs cell by cell need to know
+        """
         sides = self.pattern.cells(levels)
         size = np.sqrt(sides[:, 0] * sides[:, 1])
         evenness = self.pattern.narrowest(levels).min(axis=1)
         fine = self.factors(self.patches[patch], sides / size[:, None], evenness) * size <= 1.0
         if self.proof is not None:
             open_ones = np.flatnonzero(~fine)
-            fine[open_ones] = self.proof(patch[open_ones], levels[open_ones])
+            fine[open_ones] = self.proof(patch[open_ones], levels[open_ones], in_pieces)
         return fine
 
     def longest(
@@ -87,17 +92,31 @@ class Certificate:
     ) -> Float[np.ndarray, "n"]:
         """How long triangles of any shape may be along an axis of a net, between two lengths; 0 if never so short."""
         numbers = np.stack([along, shortest, longest], axis=1)
-        return self._through(_longest_pass, nets, numbers, self.scale, self.tiles)
+        return self._through(_longest_pass, nets, numbers, self.scale, _STEPS, self.tiles)
 
-    def for_all_boxes(self, levels: Int[np.ndarray, "patches 2"]) -> Int[np.ndarray, "patches 2"]:
-        """Levels in the ratio of those given from which on all grids keep the tolerance, raised along u, v or both.
+    def triangles_keep(
+        self, nets: Float[np.ndarray, "n nu nv dim"], along: Int[np.ndarray, "n"], length: Float[np.ndarray, "n"]
+    ) -> Bool[np.ndarray, "n"]:
+        """Whether triangles of any shape, of a length along an axis of a net, keep the tolerance."""
+        # what is tried is not shorter, whatever rounding does to it
+        length = length * (1.0 + 8.0 * np.finfo(self.patches.dtype).eps)
+        return (
+            self._through(_longest_pass, nets, np.stack([along, length, length], axis=1), self.scale, 1, self.tiles) > 0
+        )
 
-        The highest that can be drawn where these could not be drawn but that one is enough.
-        """
+    def for_all_boxes(self, patch: Int[np.ndarray, "n"], levels: Int[np.ndarray, "n 2"]) -> Int[np.ndarray, "n 2"]:
+        """Levels in the ratio of those given from which on all grids keep the tolerance, raised along u, v or both."""
         u, v = np.maximum(levels, 1).T
         extents = np.stack([np.sqrt(v / u), np.sqrt(u / v)], axis=1)
-        factor = self.factors(self.patches, extents, 0.0)[:, None]
-        found = self.pattern.levels_for(np.maximum(factor / extents, factor > 0))
+        factor = self.factors(self.patches[patch], extents, 0.0)[:, None]
+        return self.pattern.levels_for(np.maximum(factor / extents, factor > 0))
+
+    def start(self, levels: Int[np.ndarray, "patches 2"]) -> Int[np.ndarray, "patches 2"]:
+        """``for_all_boxes`` of all patches, or the highest that is drawn whole where that one is enough.
+
+        That one may not be raised along one axis alone: ``slefejax.proved`` looks at what is drawn in the end.
+        """
+        found = self.for_all_boxes(np.arange(len(levels)), levels)
         high = np.flatnonzero(np.any(found > HIGHEST_LEVEL, axis=1))
         fine = high[self.grids_keep(high, np.full((len(high), 2), HIGHEST_LEVEL))]
         found[fine] = HIGHEST_LEVEL
@@ -118,7 +137,7 @@ class Certificate:
 
         The best pair that was swept is made smaller, one level at a time, while that is allowed.
         """
-        best = self.for_all_boxes(np.ones((len(self.patches), 2), np.int64))
+        best = self.start(np.ones((len(self.patches), 2), np.int64))
         open_ones = np.flatnonzero(best[:, 0] > 0)
         rank = np.argsort(self.swept.prod(axis=2), axis=1, kind="stable")
         for place in range(len(_RATIOS)):
@@ -155,9 +174,15 @@ def _boxes_pass(
     return layout.over_chunks(kernel, packed)
 
 
-@layout.as_pass(4, 5)
+@layout.as_pass(5, 6)
 def _longest_pass(
-    packed: Any, projection: Projection, tolerances: tuple[Any, Any], scale: Any, tiles: int, unrolled: bool | None
+    packed: Any,
+    projection: Projection,
+    tolerances: tuple[Any, Any],
+    scale: Any,
+    steps: Any,
+    tiles: int,
+    unrolled: bool | None,
 ) -> Any:
     def kernel(both: tuple[Any, Any]) -> Any:
         control, (along, shortest, longest) = both
@@ -179,6 +204,6 @@ def _longest_pass(
 
         guess = jnp.sqrt(shortest * longest)
         start = (jnp.zeros_like(shortest), guess, 2.0 * guess, jnp.ones_like(guess))
-        return jax.lax.fori_loop(0, _STEPS, closer, start)[0]
+        return jax.lax.fori_loop(0, steps, closer, start)[0]
 
     return layout.over_chunks(kernel, packed)

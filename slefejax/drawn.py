@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from slefejax.bezier import restrict
 from slefejax.certificate import Certificate
 from slefejax.fewest import fewest_triangles
+from slefejax.proved import proved_levels, strips
 from slefejax.rings import Pattern, safe_levels
 from slefejax.tessellator import HIGHEST_LEVEL, OWN_AXIS, pieces_along
 
@@ -33,10 +33,15 @@ def drawn_levels(
     numbers : equal for shared edges (``slefejax.edges``)
 
     The search begins with levels that no grid is too coarse for whatever the other level is, so that they can be raised
-    until rings fit. Patches that have to be cut into pieces, their own level or an edge's being too high, stay so.
+    until rings fit. Patches that have to be cut into pieces, their own level or an edge's being too high, stay so. What
+    is found is proved in the end (``slefejax.proved``).
     """
+    return proved_levels(certificate, *_chosen(certificate, inner, numbers, anisotropic), numbers)
+
+
+def _chosen(certificate: Certificate, inner: Pairs, numbers: Numbers, anisotropic: bool) -> tuple[Pairs, Numbers]:
     pattern = certificate.pattern
-    plain = certificate.for_all_boxes(inner)
+    plain = certificate.start(inner)
     choices = _that_keep(certificate, _unequal(certificate, inner) if anisotropic else _raised(inner), plain)
     strips = Strips.of(certificate, choices, widths=8 if anisotropic else 3)
     start, edges = safe_levels(plain, numbers, pattern, strips.longest)
@@ -139,7 +144,7 @@ class Strips:
             own = seen[at : at + _BLOCK]
             for side in range(4):
                 along = OWN_AXIS[side]
-                nets = _strips(certificate.patches[own], side, certificate.pattern.cells(across[own, side]))
+                nets = strips(certificate.patches[own], side, certificate.pattern.cells(across[own, side]))
                 flat = nets.reshape(-1, *nets.shape[2:])
                 shortest, longest = 0.25 / high[own, along], np.minimum(1.0, 4.0 / low[own, along])
                 ends = [np.repeat(x, widths) for x in (shortest, longest)]
@@ -151,13 +156,3 @@ class Strips:
         """For a level across: what holds for the next one that is not finer (``slefejax.rings.Longest``)."""
         place = (self.across[patch, side] <= across[..., None]).sum(axis=-1) - 1
         return self.length[patch, side, np.maximum(place, 0)] * (place >= 0)
-
-
-def _strips(
-    patches: Float[np.ndarray, "n nu nv dim"], side: int, width: Float[np.ndarray, "n widths"]
-) -> Float[np.ndarray, "n widths nu nv dim"]:
-    """Control points of strips along a side."""
-    axis = 1 + side % 2
-    nets = np.moveaxis(np.asarray(patches, np.float64)[:, None], (axis + 1, 0, 1), (0, -2, -1))
-    start, end = (np.zeros_like(width), width) if side < 2 else (1.0 - width, np.ones_like(width))
-    return np.moveaxis(restrict(nets, start, end), (0, -2, -1), (axis + 1, 0, 1))

@@ -135,32 +135,39 @@ def safe_levels(inner: Pairs, numbers: Edges, pattern: Pattern, longest: Longest
     while changed.any():
         patch, side = np.nonzero(np.broadcast_to(changed[:, None], numbers.shape))
         failing = _failing(inner, edges, patch, side, pattern, longest)
-        raised = _raised(inner, edges, numbers, patch[failing], side[failing], pattern)
+        raised = with_better_rings(inner, edges, numbers, patch[failing], side[failing], pattern)
         changed = np.any(raised[0] != inner, axis=1) | np.any(raised[1] != edges, axis=1)
         inner, edges = raised
     return inner, edges
+
+
+def ringed_sides(
+    inner: Pairs, edges: Edges, patch: Int[np.ndarray, "n"], side: Int[np.ndarray, "n"]
+) -> tuple[Bool[np.ndarray, "n"], Int[np.ndarray, "n"], Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
+    """Of sides of patches: is there a ring, the levels of the rim and the edge of each of its pieces, their number."""
+    axis, along = OWN_AXIS[side], pieces_along(inner[patch], edges[patch])
+    own, rim = inner[patch] // along, edges[patch] // along[:, OWN_AXIS]
+    row = np.arange(len(patch))
+    ringed = np.any(own > 1, axis=1) | np.any(rim > 1, axis=1)
+    return ringed, np.maximum(own[row, axis], 2), rim[row, side], along[row, axis]
 
 
 def _failing(
     inner: Pairs, edges: Edges, patch: np.ndarray, side: np.ndarray, pattern: Pattern, longest: Longest
 ) -> Bool[np.ndarray, "sides"]:
     """Which rings hold a triangle that is too long."""
-    axis, along = OWN_AXIS[side], pieces_along(inner[patch], edges[patch])
-    own, rim = inner[patch] // along, edges[patch] // along[:, OWN_AXIS]
-    ringed = np.flatnonzero(np.any(own > 1, axis=1) | np.any(rim > 1, axis=1))
-    axis, patch, side = axis[ringed], patch[ringed], side[ringed]
-    across = np.maximum(inner[patch, 1 - axis], 2)
-    allowed = longest(patch, side, across) * along[ringed, axis]
-    sets = pattern.edge_levels(np.maximum(own[ringed, axis], 2), allowed)
-    failing = np.zeros(len(along), bool)
-    failing[ringed] = sets >> (rim[ringed, side] - 1).astype(np.uint64) & 1 == 0
-    return failing
+    ringed, n, m, along = ringed_sides(inner, edges, patch, side)
+    across = np.maximum(inner[patch, 1 - OWN_AXIS[side]], 2)
+    sets = pattern.edge_levels(n, longest(patch, side, across) * along)
+    return ringed & (sets >> (m - 1).astype(np.uint64) & np.uint64(1) == 0)
 
 
-def _raised(
+def with_better_rings(
     inner: Pairs, edges: Edges, numbers: Edges, patch: np.ndarray, side: np.ndarray, pattern: Pattern
 ) -> tuple[Pairs, Edges]:
-    """More cells, or more pieces of an edge, where a ring reaches too far."""
+    """More cells, or more pieces of an edge, on sides where a ring reaches too far."""
+    if not len(patch):
+        return inner, edges
     axis = OWN_AXIS[side]
     along = pieces_along(inner[patch], edges[patch])[np.arange(len(patch)), axis]
     n, m = inner[patch, axis] // along, edges[patch, side] // along

@@ -94,6 +94,16 @@ def levels_for(factors: Real[np.ndarray, "*shape"], spacing: str) -> Real[np.nda
     return np.where(factors > 0, found, 0.0)
 
 
+def shares(index: Int[np.ndarray, "*#shape"], count: Int[np.ndarray, "*#shape"]) -> Int[np.ndarray, "*shape"]:
+    """index/count in steps of ``GRID``, rounded: where vertices of patches in pieces are placed.
+
+    Those of index and count - index add up to 1.
+    """
+    low = np.minimum(index, count - index)
+    steps = ((low << 24) + count // 2) // np.maximum(count, 1)
+    return np.where(low == index, steps, (1 << 24) - steps)
+
+
 def pieces(levels: Int[np.ndarray, "*shape"]) -> Int[np.ndarray, "*shape"]:
     """The smallest powers of two with levels of at most 64 a piece.
 

@@ -14,7 +14,7 @@ from slefejax.arguments import Patches, check_patches, real_numbers, whole_numbe
 from slefejax.bezier import bernstein, derivative
 from slefejax.direct3d11 import tessellate
 from slefejax.errors import InputError
-from slefejax.tessellator import GRID, MOST_LEVEL, Pieces, check_spacing, highest_level, triangle_counts
+from slefejax.tessellator import GRID, MOST_LEVEL, Pieces, check_spacing, highest_level, shares, triangle_counts
 from slefejax.view import homogeneous
 
 _MOST = 2**27  # triangles
@@ -93,13 +93,6 @@ def triangulate(patches: Patches, factors: Any, spacing: str = "equal") -> Trian
     return Triangulation(patch, steps * GRID, number[made.triangles], patches)
 
 
-def shares(index: Int[np.ndarray, "*shape"], count: Int[np.ndarray, "*shape"]) -> Int[np.ndarray, "*shape"]:
-    """index/count in steps of 2^-24, rounded; those of index and count - index add up to 2^24."""
-    low = np.minimum(index, count - index)
-    steps = ((low << 24) + count // 2) // count
-    return np.where(low == index, steps, (1 << 24) - steps)
-
-
 def _without_twins(
     patch: Int[np.ndarray, "n"], steps: Int[np.ndarray, "n 2"]
 ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m 2"], Int[np.ndarray, "n"]]:
@@ -115,10 +108,10 @@ def _without_twins(
 
 def _checked_levels(factors: Any, count: int, spacing: str) -> tuple[np.ndarray, np.ndarray]:
     check_spacing(spacing)
-    try:
-        inner, outer = (factors.inner, factors.edges) if hasattr(factors, "edges") else factors
-    except (TypeError, ValueError):
-        raise InputError(f"levels are a Factors or a pair (inner, edges), not {type(factors).__name__}") from None
+    pair = isinstance(factors, (tuple, list)) and len(factors) == 2
+    if not pair and not hasattr(type(factors), "edges"):
+        raise InputError(f"levels are a Factors or a pair (inner, edges), not {type(factors).__name__}")
+    inner, outer = factors if pair else (factors.inner, factors.edges)
     numbers = whole_numbers if spacing == "equal" else real_numbers
     inner, outer = numbers(inner, "levels"), numbers(outer, "levels")
     if inner.shape != (count, 2) or outer.shape != (count, 4):

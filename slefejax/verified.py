@@ -7,6 +7,7 @@ lattice, so that its values there are its largest. Nothing is sampled in the sen
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, NamedTuple
 
 import jax
@@ -19,7 +20,7 @@ from slefejax.bezier import bernstein, combine, derivative
 from slefejax.estimate import Projection
 from slefejax.maxima import larger
 from slefejax.rings import Pattern
-from slefejax.tessellator import HIGHEST_LEVEL
+from slefejax.tessellator import GRID, HIGHEST_LEVEL, shares
 from slefejax.view import homogeneous
 
 _FINER = 12  # q
@@ -86,14 +87,24 @@ def verified_factors(factor: Float[np.ndarray, "patches"], nets: Nets) -> Float[
 
 
 def drawn_grids_hold(
-    nets: Nets, pattern: Pattern, patch: Int[np.ndarray, "n"], levels: Int[np.ndarray, "n 2"]
+    nets: Nets, pattern: Pattern, patch: Int[np.ndarray, "n"], levels: Int[np.ndarray, "n 2"], in_pieces: bool = False
 ) -> Bool[np.ndarray, "n"]:
-    """Whether grids are proved to keep the tolerances, both with equal cells and as the tessellator draws them."""
+    """Whether grids are proved to keep the tolerances, both with equal cells and as the tessellator draws them.
+
+    in_pieces : whether the picture has patches in pieces, so that lines are placed with 24 bits and not by the pattern
+    """
     holds = np.all(levels <= HIGHEST_LEVEL, axis=1)
-    for points in (pattern.points, None):
+    for points in (_fine_points() if in_pieces else pattern.points, None):
         open_ones = np.flatnonzero(holds)
         holds[open_ones] = grids_hold(nets, patch[open_ones], levels[open_ones], points)
     return holds
+
+
+@cache
+def _fine_points() -> Float[np.ndarray, "n lines"]:
+    """As ``Pattern.points``, placed with 24 bits."""
+    n = np.arange(HIGHEST_LEVEL + 1)
+    return shares(np.minimum(n, n[:, None]), n[:, None]) * GRID
 
 
 def grids_hold(

@@ -103,7 +103,7 @@ def test_all_smaller_boxes_hold(rng):
     view = flat_on(4000.0)
     projection = Projection.of(view)
     certificate = Certificate(projection.relative(quadratics(a, b, c), axis=-1), projection, (0.5, None), 1, PATTERN)
-    levels = certificate.for_all_boxes(np.ones((300, 2), int))
+    levels = certificate.for_all_boxes(np.arange(300), np.ones((300, 2), int))
     for more in rng.integers(0, 30, (20, 2)):
         assert exact_errors(a, b, c, np.minimum(levels + more, 64)).max() <= 0.5
 

@@ -53,7 +53,7 @@ LAYERS = [
         "io",
         "data",
     },
-    {"certificate", "drawn", "factors", "widths", "curves", "deviation", "minimal", "covering"},
+    {"certificate", "proved", "drawn", "factors", "widths", "curves", "deviation", "minimal", "covering"},
     {"scene", "session", "testing", "samples", "fitting", "budget", "sensitivity", "relaxing"},
 ]
 ANALYSIS = set().union(*LAYERS)
