@@ -87,7 +87,7 @@ class Sides:
     def numbers(self) -> Int[np.ndarray, "patches 4"]:
         """A number for every side, from 0 on, equal exactly where sides are the same part of one curve."""
         ends = np.sort(np.stack([self.first.ravel(), self.last.ravel()], axis=1), axis=1)
-        return _number_by_first_use(np.column_stack([self.owner.ravel(), ends])).reshape(-1, 4)
+        return number_by_first_use(np.column_stack([self.owner.ravel(), ends])).reshape(-1, 4)
 
 
 def shared_edges(patches: Shaped[np.ndarray, "patches nu nv dim"]) -> Int[np.ndarray, "patches 4"]:
@@ -110,7 +110,7 @@ def _equal_curves(patches: np.ndarray) -> tuple[Int[np.ndarray, "sides"], Bool[n
     keys = keys.reshape(-1, keys.shape[-1])
     # A collapsed edge gets a key of its own: its number, where no other edge has one.
     own = np.where(collapsed(patches).ravel(), np.arange(1, len(keys) + 1), 0)
-    return _number_by_first_use(np.column_stack([own, keys])), turned.ravel()
+    return number_by_first_use(np.column_stack([own, keys])), turned.ravel()
 
 
 def _keys(points: np.ndarray, longest: int) -> tuple[np.ndarray, np.ndarray]:
@@ -147,7 +147,7 @@ def _with_raised(patches: np.ndarray, curve: np.ndarray, turned: np.ndarray) -> 
         same = np.abs(raised - (other[:, ::-1] if backwards else other)).max(axis=(1, 2)) <= near
         one, two = (curve[own[pair]] for own, pair in zip(sides, pairs[same].T, strict=True))
         joined[two], against[two] = one, backwards
-    return _number_by_first_use(joined[curve][:, None]), turned ^ against[curve]
+    return number_by_first_use(joined[curve][:, None]), turned ^ against[curve]
 
 
 def _in_order(patches: np.ndarray, sides: np.ndarray, parity: int, turned: np.ndarray) -> np.ndarray:
@@ -160,8 +160,8 @@ def _in_order(patches: np.ndarray, sides: np.ndarray, parity: int, turned: np.nd
 def _equal_ends(one: np.ndarray, other: np.ndarray) -> Int[np.ndarray, "pairs 2"]:
     """Pairs of a curve here and a curve there with the same two end points, whichever is the first."""
     ends = np.concatenate([points[:, [0, -1]] for points in (one, other)])
-    place = _number_by_first_use(ends.reshape(-1, ends.shape[-1])).reshape(-1, 2)
-    key = _number_by_first_use(np.sort(place, axis=1))
+    place = number_by_first_use(ends.reshape(-1, ends.shape[-1])).reshape(-1, 2)
+    key = number_by_first_use(np.sort(place, axis=1))
     here, there = key[: len(one)], key[len(one) :]
     order = np.argsort(there, kind="stable")
     start, end = (np.searchsorted(there[order], here, side=side) for side in ("left", "right"))
@@ -170,7 +170,8 @@ def _equal_ends(one: np.ndarray, other: np.ndarray) -> Int[np.ndarray, "pairs 2"
     return np.stack([np.repeat(np.arange(len(one)), count), order[np.repeat(start, count) + index]], axis=1)
 
 
-def _number_by_first_use(rows: np.ndarray) -> np.ndarray:
+def number_by_first_use(rows: Shaped[np.ndarray, "rows columns"]) -> Int[np.ndarray, "rows"]:
+    """A number for every row, from 0 on in the order in which they come, equal for equal rows."""
     _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     rank = np.empty(len(first), int)
     rank[np.argsort(first)] = np.arange(len(first))
