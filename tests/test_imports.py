@@ -34,6 +34,7 @@ LAYERS = [
         "bspline",
         "tiles",
         "optimum",
+        "coincidence",
         "rivals",
         "estimate",
         "request",
