@@ -226,7 +226,7 @@ def load(
     if weld is not None and not content.patches and not content.splines:
         raise InputError(f"{path} holds a control mesh and nothing else: weld has no meaning for it")
     content = content if copies == 1 else with_copies(content, copies)
-    return _scene(path, content, scheme, alpha, steps, bool(drop_defects), weld)
+    return _scene(path, content, scheme, alpha, steps, bool(drop_defects), None if weld is None else float(weld))
 
 
 def save(scene: Any, path: Any) -> None:
@@ -308,7 +308,7 @@ def _scene(
         raise InputError(f"{path} has coordinates of {LARGEST:g} and more: scale it down, or drop what is out there")
     alone = conversion if len(parts) == 1 else None
     if alone is None:
-        patches, said = welded(patches, weld_tolerance(patches, content.digits) if weld is None else float(weld))
+        patches, said = welded(patches, weld_tolerance(patches, content.digits) if weld is None else weld)
         found += said
     control, said = common_degree(patches)
     found += said

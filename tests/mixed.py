@@ -64,3 +64,19 @@ def boundaries(found: Any, numbers: np.ndarray) -> dict[int, list[np.ndarray]]:
         points = found.clip[sides[side] & (found.patch == patch)[:, None]]
         positions.setdefault(int(number), []).append(np.unique(points, axis=0))
     return positions
+
+
+def in_perspective(patch: np.ndarray) -> np.ndarray:
+    """A polynomial patch seen through a lens: homogeneous points by one matrix, so sides that are one stay one."""
+    matrix = np.eye(4)
+    matrix[3] = [0.2, 0.1, -0.25, 1.0]
+    return np.concatenate([patch, np.ones_like(patch[..., :1])], axis=-1) @ matrix.T
+
+
+def open_edges(found: Any) -> int:
+    """Edges of captured triangles, told by their positions, that not exactly two triangles have."""
+    _, number = np.unique(found.clip.reshape(-1, 4) + np.float32(0), axis=0, return_inverse=True)
+    a, b, c = number.reshape(-1, 3).T
+    ends = np.sort(np.concatenate([np.stack(pair, axis=1) for pair in ((a, b), (b, c), (c, a))]), axis=1)
+    _, count = np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0, return_counts=True)
+    return int(np.sum(count != 2))
