@@ -1,7 +1,7 @@
 """Sides that lie on each other without being shared: neighbours between which a crack may show.
 
-A free side (of one patch only, ``slefejax.edges``) lies on a curve if points all along it do, to within a tolerance. That
-finds the same curve at another pace, or further apart than what was welded, and parts of sides: T-junctions.
+A free side (of one patch only, ``slefejax.edges``) lies on a curve if points all along it do, to within a tolerance.
+That finds the same curve at another pace, or further apart than what was welded, and parts of sides: T-junctions.
 """
 
 from __future__ import annotations
@@ -80,9 +80,7 @@ def _candidates(
     return pairs[pairs[:, 0] != pairs[:, 1]]
 
 
-def _lie_on(
-    curves: np.ndarray, pairs: np.ndarray, places: np.ndarray, tolerance: float
-) -> Bool[np.ndarray, "pairs"]:
+def _lie_on(curves: np.ndarray, pairs: np.ndarray, places: np.ndarray, tolerance: float) -> Bool[np.ndarray, "pairs"]:
     """Whether points of the first curve of each pair, at these parameters, are near the second."""
     parts = [pairs[k : k + _AT_A_TIME] for k in range(0, len(pairs), _AT_A_TIME)]
     found = [_distances(curves[part[:, 0]], curves[part[:, 1]], places).max(axis=1) <= tolerance for part in parts]

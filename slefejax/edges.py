@@ -86,8 +86,9 @@ class Sides:
     @cached_property
     def numbers(self) -> Int[np.ndarray, "patches 4"]:
         """A number for every side, from 0 on, equal exactly where sides are the same part of one curve."""
-        ends = np.sort(np.stack([self.first.ravel(), self.last.ravel()], axis=1), axis=1)
-        return number_by_first_use(np.column_stack([self.owner.ravel(), ends])).reshape(-1, 4)
+        low, high = np.minimum(self.first, self.last), np.maximum(self.first, self.last)
+        _, part = np.unique(low + 1j * high, return_inverse=True)
+        return number_by_first_use(part.ravel() * self.owner.size + self.owner.ravel()).reshape(-1, 4)
 
 
 def shared_edges(patches: Shaped[np.ndarray, "patches nu nv dim"]) -> Int[np.ndarray, "patches 4"]:
@@ -147,7 +148,7 @@ def _with_raised(patches: np.ndarray, curve: np.ndarray, turned: np.ndarray) -> 
         same = np.abs(raised - (other[:, ::-1] if backwards else other)).max(axis=(1, 2)) <= near
         one, two = (curve[own[pair]] for own, pair in zip(sides, pairs[same].T, strict=True))
         joined[two], against[two] = one, backwards
-    return number_by_first_use(joined[curve][:, None]), turned ^ against[curve]
+    return number_by_first_use(joined[curve]), turned ^ against[curve]
 
 
 def _in_order(patches: np.ndarray, sides: np.ndarray, parity: int, turned: np.ndarray) -> np.ndarray:
@@ -170,9 +171,9 @@ def _equal_ends(one: np.ndarray, other: np.ndarray) -> Int[np.ndarray, "pairs 2"
     return np.stack([np.repeat(np.arange(len(one)), count), order[np.repeat(start, count) + index]], axis=1)
 
 
-def number_by_first_use(rows: Shaped[np.ndarray, "rows columns"]) -> Int[np.ndarray, "rows"]:
+def number_by_first_use(rows: Shaped[np.ndarray, "rows *columns"]) -> Int[np.ndarray, "rows"]:
     """A number for every row, from 0 on in the order in which they come, equal for equal rows."""
-    _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    _, first, inverse = np.unique(rows, axis=0 if rows.ndim > 1 else None, return_index=True, return_inverse=True)
     rank = np.empty(len(first), int)
     rank[np.argsort(first)] = np.arange(len(first))
     return rank[inverse.ravel()]
