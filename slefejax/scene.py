@@ -18,7 +18,7 @@ from slefejax.conversion.common import common_degree, common_weights
 from slefejax.conversion.nurbs import bezier_axis, spline_patches
 from slefejax.conversion.patchwork import KINDS
 from slefejax.conversion.scheme import Conversion, convert
-from slefejax.conversion.weld import weld_tolerance, welded
+from slefejax.conversion.weld import places, weld_tolerance, welded
 from slefejax.data.small import (
     QUAD_EYE,
     QUAD_TARGET,
@@ -304,7 +304,10 @@ def _scene(
         count = len(content.patches)
         parts.append(_Part(list(content.patches), np.arange(count), np.full(count, KINDS.index("bezier"))))
     patches, found = common_weights([patch for part in parts for patch in part.patches])
-    if np.abs(np.concatenate([patch.ravel() for patch in patches])).max() >= LARGEST:
+    points = np.concatenate([patch.reshape(-1, patch.shape[2]) for patch in patches])
+    with np.errstate(over="ignore"):  # of small weights
+        largest = max(np.abs(points).max(), np.abs(places(points)).max())
+    if not largest < LARGEST:
         raise InputError(f"{path} has coordinates of {LARGEST:g} and more: scale it down, or drop what is out there")
     alone = conversion if len(parts) == 1 else None
     if alone is None:

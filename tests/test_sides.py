@@ -155,4 +155,4 @@ def test_patches_that_move_are_looked_at_again(device, scenes, rng):
     inner, outer = some_levels(numbers, (3, 9, 14), rng)
     found = renderer.capture(WHOLE, inner, outer)
     renderer.release()
-    assert all(np.array_equal(*pair) for pair in boundaries(found, numbers).values())
+    assert all(np.array_equal(one, other) for one, other in boundaries(found, numbers).values())

@@ -19,6 +19,7 @@ another pace or along another curve, and no factor helps.
 from __future__ import annotations
 
 from collections import defaultdict, deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -158,8 +159,16 @@ class _Corners:
         place = places(np.array([_corner(patch, k) for patch in patches for k in range(4)])) + 0.0
         number = number_by_first_use(place)
         place = place[np.unique(number, return_index=True)[1]]
-        pairs = KDTree(place).query_pairs(tolerance, p=np.inf)
-        centre = _centres(len(place), pairs, _apart(patches, number, tolerance) if pairs else set())
+        tree, centre = KDTree(place), np.arange(len(place))
+        crowded = np.flatnonzero(tree.query(place, 2, p=np.inf)[0][:, 1] <= tolerance).tolist()
+        if crowded:
+            apart = _apart(patches, number, tolerance)
+            _find_centres(
+                centre,
+                crowded,
+                lambda i: tree.query_ball_point(place[i], tolerance, p=np.inf, return_sorted=True),
+                apart,
+            )
         return _Corners(place, number, centre[number])
 
     def moved(self, point: np.ndarray, corner: int) -> np.ndarray:
@@ -181,21 +190,20 @@ def _apart(patches: list[Patch], number: np.ndarray, tolerance: float) -> set[tu
     return found
 
 
-def _centres(count: int, pairs: set[tuple[int, int]], apart: set[tuple[int, int]]) -> Int[np.ndarray, "places"]:
-    """For every place the one that it goes to: the first of those near it that has not gone anywhere itself."""
-    near = defaultdict(list)
-    for i, j in sorted(pairs):
-        near[i].append(j)
-    centre, taken = np.arange(count), np.zeros(count, bool)
-    for i in sorted(near):
-        if taken[i]:
+def _find_centres(
+    centre: np.ndarray, crowded: list[int], near: Callable[[int], list[int]], apart: set[tuple[int, int]]
+) -> None:
+    """Where places go, written to ``centre``: to the first of those near them that has not gone anywhere itself."""
+    taken = set()
+    for i in crowded:
+        if i in taken:
             continue
         members = [i]
-        for j in near[i]:
-            if not taken[j] and not any((k, j) in apart for k in members):
-                centre[j], taken[j] = i, True
+        for j in near(i):
+            if j != i and j not in taken and not any((k, j) in apart for k in members):
+                centre[j] = i
                 members.append(j)
-    return centre
+        taken.update(members)
 
 
 def _twins(patches: list[Patch], corners: _Corners, tolerance: float, same_ratio: float) -> list[Twin]:

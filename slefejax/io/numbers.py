@@ -83,11 +83,14 @@ class Numbers:
         None where all numbers are whole, or have so few digits that they are more likely meant than rounded.
         """
         last = self._unit
-        for patch in patches if last else ():
-            if patch.shape[2] == 4:  # w x and w are rounded
-                reach = np.abs(patch[..., :3] / patch[..., 3:]).max()
-                last = max(last, float(self._unit * (1.0 + reach) / patch[..., 3].min()))
-        return _MARGIN * last if 0.0 < self._unit <= _COARSEST * _size(patches) else None
+        with np.errstate(over="ignore", invalid="ignore"):  # what is too large is told later
+            if not 0.0 < last <= _COARSEST * _size(patches):
+                return None
+            for patch in patches:
+                if patch.shape[2] == 4:  # w x and w are rounded
+                    reach = np.abs(patch[..., :3] / patch[..., 3:]).max()
+                    last = max(last, float(self._unit * (1.0 + reach) / patch[..., 3].min()))
+        return _MARGIN * last
 
     def points(self, shape: tuple[int, ...], wanted: str) -> np.ndarray:
         """The next numbers as an array of that shape."""
