@@ -222,6 +222,12 @@ def test_bad_tolerances(path, weld):
         load(path, weld=weld)
 
 
+def test_places_too_far_out_for_small_weights(tmp_path):
+    text = as_bv([np.array([[[1e90, y, 0.5, 1e-250] for y in (0.0, 1.0)] for _ in (0, 1)])], "{!r}")
+    with pytest.raises(InputError, match=r"coordinates of 1e\+100 and more"):
+        load(write(tmp_path, "a.bv", text))
+
+
 def test_where_welding_has_no_meaning(tmp_path):
     with pytest.raises(InputError, match="a control mesh and nothing else: weld has no meaning"):
         load(write(tmp_path, "a.obj", CUBE), weld=0.1)
