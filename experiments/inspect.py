@@ -12,10 +12,11 @@ import numpy as np
 import tyro
 
 from slefejax import Scene, View, tessellation_factors
+from slefejax.coincidence import coincident_sides
 from slefejax.conversion.acc import acc_patches
 from slefejax.conversion.patchwork import KINDS
 from slefejax.defects import find_defects, isolated_vertices
-from slefejax.edges import edge_points
+from slefejax.edges import collapsed
 from slefejax.error import pixel_error
 from slefejax.errors import InputError, NoOpenGLError
 from slefejax.experiments.options import LoadOptions, OutputOptions, ViewOptions, camera_record
@@ -62,7 +63,7 @@ class Inspect:
             notes = (*scene.notes, *(f"not needed: {what}" for what in scene.left_out()))
             found, said = _picture(scene, view, self.tolerance, run)
             row |= found
-            notes += said
+            notes += _unshared(row) + said
             saved = savings(scene, view) if self.savings else []
             out = run.finish([row], {"scene": scene.name, "notes": notes, "savings": saved})
         title = f"{scene.name}: {len(scene.patches()):,} patches"
@@ -114,13 +115,14 @@ def patch_row(scene: Scene) -> Row:
     """The patches in numbers and, of a control mesh, the table that makes them."""
     _, nu, nv, dimension = scene.patches().shape
     uses = np.bincount(scene.edge_numbers.ravel())
-    collapsed = sum(np.all(e == e[:, :1], axis=(1, 2)).sum() for e in edge_points(scene.patches()))
+    points = np.sum(collapsed(scene.patches()))
     row: Row = {
         "patches": len(scene.patches()),
         "bi_degree": f"{nu - 1} x {nv - 1}" + (", rational" if dimension == 4 else ""),
         "common_edges": int(np.sum(uses > 1)),
-        "free_edges": int(np.sum(uses == 1) - collapsed),
-        "edges_of_no_length": int(collapsed),
+        "free_edges": int(np.sum(uses == 1) - points),
+        "coincident_sides": int(np.sum(coincident_sides(scene.patches(), scene.edge_numbers))),
+        "edges_of_no_length": int(points),
     }
     if scene.kinds is not None:
         counts = np.bincount(scene.kinds, minlength=len(KINDS))
@@ -138,6 +140,14 @@ def patch_row(scene: Scene) -> Row:
             "tables_ms": tables_ms,
         }
     return row
+
+
+def _unshared(row: Row) -> tuple[str, ...]:
+    """A note about sides that lie on each other, if any do."""
+    count = row["coincident_sides"]
+    if not count:
+        return ()
+    return (f"{count} free sides lie on others without being shared: a crack may show there",)
 
 
 def rig_row(scene: Scene) -> Row:

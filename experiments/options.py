@@ -77,7 +77,7 @@ def camera_record(view: View) -> dict:
 
 @dataclass(frozen=True)
 class LoadOptions:
-    """How a control mesh becomes patches."""
+    """How a file becomes patches."""
 
     scheme: str = "auto"
     """acc (quads), pinched (quads and triangles), bspline (regular meshes only), catmull-clark+acc (any polygons), or
@@ -94,6 +94,9 @@ class LoadOptions:
     """Of .gltf and .glb files: the name of the animation, if not the first."""
     copies: int = 1
     """Of control meshes: how many stand side by side."""
+    weld: float | None = None
+    """Of patches and splines: sides that are so far apart at most become one, in the file's units; 0 for none. If not
+    given, what the file's digits leave open."""
     time: float | None = None
     """Of scenes that move: when to look, in the units of the file; at rest if not given."""
     keys: tuple[str, ...] = ()
@@ -109,6 +112,7 @@ class LoadOptions:
             "group": self.group or None,
             "animation": self.animation,
             "copies": self.copies,
+            "weld": self.weld,
             **own,
         }
 

@@ -17,19 +17,19 @@ _STAGES = {
 }
 
 
-def draw_program(context: Any, shape: tuple[int, int, int], spacing: str) -> Any:
-    """Draws patches of shape (du+1, dv+1, dim) into the G-buffer."""
-    return _program(context, shape, spacing, {**_STAGES, "fragment_shader": "gbuffer.frag"})
+def draw_program(context: Any, shape: tuple[int, int, int], spacing: str, owned: bool) -> Any:
+    """Draws patches of shape (du+1, dv+1, dim) into the G-buffer; owned: sides are their owners' (sides.glsl)."""
+    return _program(context, shape, spacing, owned, {**_STAGES, "fragment_shader": "gbuffer.frag"})
 
 
-def capture_program(context: Any, shape: tuple[int, int, int], spacing: str) -> Any:
+def capture_program(context: Any, shape: tuple[int, int, int], spacing: str, owned: bool) -> Any:
     """Writes the triangles that the tessellator makes to a storage buffer and draws nothing."""
-    return _program(context, shape, spacing, {**_STAGES, "geometry_shader": "capture.geom"})
+    return _program(context, shape, spacing, owned, {**_STAGES, "geometry_shader": "capture.geom"})
 
 
-def _program(context: Any, shape: tuple[int, int, int], spacing: str, stages: dict[str, str]) -> Any:
+def _program(context: Any, shape: tuple[int, int, int], spacing: str, owned: bool, stages: dict[str, str]) -> Any:
     defines: dict[str, Any] = {"DEGREE_U": shape[0] - 1, "DEGREE_V": shape[1] - 1, "COORDINATES": shape[2]}
-    defines |= {"SPACING": spacing.replace("-", "_") + "_spacing"}
+    defines |= {"SPACING": spacing.replace("-", "_") + "_spacing", "OWNED_SIDES": int(owned)}
     sources = {stage: _source(name, defines) for stage, name in stages.items()}
     try:
         return context.program(**sources)

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int, Real
 
 from slefejax.arguments import Patches, check_patches, real_numbers, whole_numbers
+from slefejax.edges import Sides
 from slefejax.errors import InputError, OpenGLError
 from slefejax.gpu.context import Device, open_device
 from slefejax.gpu.programs import capture_program, draw_program
@@ -68,12 +69,16 @@ class Renderer:
     device  : from ``open_device``, which is called if it is not given
     spacing : ``"equal"``: levels are whole numbers; ``"fractional-even"``, ``"fractional-odd"``: any numbers up to the
               limit, and vertices move as they change, instead of coming and going
+    sides   : which curve each side is (``slefejax.edges``): vertices on it are points of its owner. If they are not
+              given, sides are shared where their points are equal, or equal once raised to one degree
 
     >>> renderer = Renderer(patches)                                        # doctest: +SKIP
     >>> buffer = renderer.draw(view, factors.inner, factors.edges)          # doctest: +SKIP
     """
 
-    def __init__(self, patches: Patches, device: Device | None = None, spacing: str = "equal") -> None:
+    def __init__(
+        self, patches: Patches, device: Device | None = None, spacing: str = "equal", sides: Sides | None = None
+    ) -> None:
         check_spacing(spacing)
         self.device, self.spacing = device or open_device(), spacing
         self.device.check_thread()
@@ -82,6 +87,13 @@ class Renderer:
         self._shape = (control.shape[1], control.shape[2], control.shape[3])
         context = self.device.context
         self._control = context.buffer(control.tobytes())
+        # where all sides have equally many points, those that are one curve have equal ones: each patch's own will do
+        self._finds_sides = sides is None and control.shape[1] != control.shape[2]
+        self._owners: Any = None
+        if self._finds_sides:
+            sides = _sides_of(patches)
+        if sides is not None:
+            self._owners = context.buffer(_owner_records(sides, self._count))
         self._target: tuple[tuple[int, int], Any] | None = None
         self._arrays: dict[str, Any] = {}
         self._pieces: Any = None
@@ -99,6 +111,8 @@ class Renderer:
             )
         self._control.write(control.tobytes())
         self._sent, self._to_world = control, to_world
+        if self._finds_sides:
+            self._owners.write(_owner_records(_sides_of(patches), self._count))
 
     def draw(self, view: View, inner: Inner, outer: Outer) -> GBuffer:
         """Draw and read back. Levels as in ``submit``."""
@@ -159,6 +173,8 @@ class Renderer:
         """Free what lies on the device; the renderer cannot draw any more."""
         self._release_arrays()
         self._control.release()
+        if self._owners is not None:
+            self._owners.release()
         self._release_target()
 
     def _to_clip(self, view: View) -> np.ndarray:
@@ -180,6 +196,8 @@ class Renderer:
         self._pieces.write(records.tobytes())
         self._control.bind_to_storage_buffer(0)
         self._pieces.bind_to_storage_buffer(1)
+        if self._owners is not None:
+            self._owners.bind_to_storage_buffer(4)
         self.device.context.patch_vertices = 1
         for first, count in draw_ranges(segments(parts.inner, self.spacing), segments(parts.outer, self.spacing)):
             array.render(moderngl.PATCHES, vertices=count, first=first)
@@ -202,7 +220,7 @@ class Renderer:
 
     def _array(self, name: str, make_program: Any) -> Any:
         if name not in self._arrays:
-            program = make_program(self.device.context, self._shape, self.spacing)
+            program = make_program(self.device.context, self._shape, self.spacing, self._owners is not None)
             self._arrays[name] = self.device.context.vertex_array(program, [(self._numbers, "i", "number")])
         return self._arrays[name]
 
@@ -287,6 +305,25 @@ def _in_unit_box(patches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     to_world = np.diag([scale, scale, scale, 1.0])
     to_world[:3, 3] = centre
     return sent, to_world
+
+
+def _sides_of(patches: Patches) -> Sides:
+    return Sides.of(np.asarray(check_patches(patches)))  # in their own precision, as levels are found
+
+
+def _owner_records(sides: Sides, count: int) -> bytes:
+    """Sides as sides.glsl reads them."""
+    ends = np.stack([sides.first, sides.last])
+    whose = np.asarray(sides.owner)
+    if whose.shape != (count, 4) or ends.shape != (2, count, 4):
+        raise InputError(
+            f"sides must be those of {count} patches, ({count}, 4), not {whose.shape}: Sides.of finds them"
+        )
+    if not (np.all((whose >= 0) & (whose < 4 * count)) and np.all((ends >= 0) & (ends <= 1))):
+        raise InputError("sides must be parts, from 0 to 1, of sides of these patches: Sides.of finds them")
+    records = np.zeros((count, 4), [("owner", "<i4"), ("first", "<f4"), ("last", "<f4")])
+    records["owner"], records["first"], records["last"] = whose, *ends
+    return records.tobytes()
 
 
 def check_levels(levels: Real[np.ndarray, "patches"], highest: int = MOST_LEVEL) -> None:

@@ -62,6 +62,16 @@ def check_positive(name: str, value: Number) -> None:
         raise InputError(f"{name} must be a positive number, not {value!r}")
 
 
+def check_not_negative(name: str, value: Number) -> None:
+    """InputError unless the number is finite and at least 0."""
+    try:
+        fine = np.ndim(value) == 0 and not isinstance(value, bool) and bool(np.isfinite(value)) and value >= 0
+    except (TypeError, ValueError):
+        fine = False
+    if not fine:
+        raise InputError(f"{name} must be a number of at least 0, not {value!r}")
+
+
 def check_choice(what: str, value: Any, choices: Iterable[str]) -> None:
     """InputError unless the value is one of the names; ``what``: a method, a scheme."""
     if not isinstance(value, str) or value not in choices:

@@ -12,13 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from slefejax.arguments import Number
-from slefejax.bezier import elevate
+from slefejax.arguments import Number, check_not_negative
 from slefejax.conversion.acc import ALPHA
+from slefejax.conversion.common import common_degree, common_weights
 from slefejax.conversion.nurbs import bezier_axis, spline_patches
 from slefejax.conversion.patchwork import KINDS
 from slefejax.conversion.scheme import Conversion, convert
-from slefejax.conversion.weights import with_common_weights
+from slefejax.conversion.weld import places, weld_tolerance, welded
 from slefejax.data.small import (
     QUAD_EYE,
     QUAD_TARGET,
@@ -31,7 +31,7 @@ from slefejax.data.small import (
 from slefejax.data.teapot import EYE, TARGET, teapot
 from slefejax.data.walker import walker
 from slefejax.defects import check_manifold, isolated_vertices, without_defects
-from slefejax.edges import shared_edges
+from slefejax.edges import Sides
 from slefejax.errors import InputError
 from slefejax.framing import PAPERS_SHARE, frame_share
 from slefejax.io.bpt import read_bpt, write_bpt
@@ -118,9 +118,14 @@ class Scene:
         return replace(self, control=control, conversion=conversion, rig=None)
 
     @cached_property
+    def sides(self) -> Sides:
+        """Which curve each side is, found once: of a control mesh from its topology, otherwise from the points."""
+        return Sides.of(self.control) if self.conversion is None else self.conversion.patchwork.sides
+
+    @property
     def edge_numbers(self) -> Int[np.ndarray, "patches 4"]:
-        """Which edges are shared, found once: of a control mesh from its topology, otherwise from the points."""
-        return shared_edges(self.control) if self.conversion is None else self.conversion.patchwork.edge_numbers
+        """Which edges are shared: whole sides that are one curve have equal numbers."""
+        return self.sides.numbers
 
     def points(self) -> Float[np.ndarray, "points 3"]:
         """All control points, divided by their weights if there are any."""
@@ -172,6 +177,7 @@ def load(
     drop_defects: Any = False,
     animation: Any = None,
     copies: Any = 1,
+    weld: Any = None,
 ) -> Scene:
     """A scene from a file (.obj, .ply, .usd…, .gltf, .glb, .json, .3dm, .bpt, .bv), a folder in MakeHuman's formats, or
     by its built-in name (``"teapot"``, ``"walker"``, ``"twisted-quad"``, ``"steep-patch"``).
@@ -181,6 +187,9 @@ def load(
     drop_defects : of control meshes: leave out faces that keep them from being manifold, instead of refusing them
     animation    : of .gltf and .glb: the name of the animation, if not the first
     copies       : of control meshes: how many of them stand side by side, and move alike
+    weld         : of patches and splines: how far apart sides may be that become one (``slefejax.conversion.weld``), in
+                   the file's units; if not given, what its digits leave open, 1e-6 of the scene's size where that
+                   cannot be told; 0 leaves them as they are
 
     Spline surfaces become Bézier patches exactly. Patches of different degrees are raised to the highest ones, and
     polynomial ones beside rational ones get weights of 1, which leaves their shape as it is. What was changed or left
@@ -201,18 +210,23 @@ def load(
     }
     asked = [name for name, given in {"scheme": scheme != "auto", **options}.items() if given]
     if str(path) in BUILT_IN:
-        more = [name for name, value in (("group", group), ("animation", animation)) if value is not None]
+        given = (("group", group), ("animation", animation), ("weld", weld))
+        more = [name for name, value in given if value is not None]
         return _built_in(str(path), scheme, alpha, steps, copies, asked + more)
     if not isinstance(path, (str, Path)) or not str(path):
         raise InputError(f"a file name or a built-in scene is needed, not {path!r}")
     if not isinstance(drop_defects, (bool, np.bool_)):
         raise InputError(f"drop_defects must be True or False, not {drop_defects!r}")
+    if weld is not None:
+        check_not_negative("weld", weld)
     path = Path(path)
     content = read(path, group, animation)
     if content.mesh is None and asked:
         raise InputError(f"{path} holds no control mesh: {asked[0]} has no meaning for it")
+    if weld is not None and not content.patches and not content.splines:
+        raise InputError(f"{path} holds a control mesh and nothing else: weld has no meaning for it")
     content = content if copies == 1 else with_copies(content, copies)
-    return _scene(path, content, scheme, alpha, steps, bool(drop_defects))
+    return _scene(path, content, scheme, alpha, steps, bool(drop_defects), None if weld is None else float(weld))
 
 
 def save(scene: Any, path: Any) -> None:
@@ -268,7 +282,15 @@ class _Part:
     kinds: np.ndarray
 
 
-def _scene(path: Path, content: Content, scheme: str, alpha: float, steps: int | None, drop_defects: bool) -> Scene:
+def _scene(
+    path: Path,
+    content: Content,
+    scheme: str,
+    alpha: float,
+    steps: int | None,
+    drop_defects: bool,
+    weld: float | None = None,
+) -> Scene:
     notes, parts, conversion = content.notes, [], None
     if content.mesh is not None:
         conversion, found = _converted(path, content.mesh, scheme, alpha, steps, drop_defects)
@@ -281,14 +303,19 @@ def _scene(path: Path, content: Content, scheme: str, alpha: float, steps: int |
     if content.patches:
         count = len(content.patches)
         parts.append(_Part(list(content.patches), np.arange(count), np.full(count, KINDS.index("bezier"))))
-    control, found = _common_form([patch for part in parts for patch in part.patches])
-    if np.any(np.abs(control) >= LARGEST):
+    patches, found = common_weights([patch for part in parts for patch in part.patches])
+    points = np.concatenate([patch.reshape(-1, patch.shape[2]) for patch in patches])
+    with np.errstate(over="ignore"):  # of small weights
+        largest = max(np.abs(points).max(), np.abs(places(points)).max())
+    if not largest < LARGEST:
         raise InputError(f"{path} has coordinates of {LARGEST:g} and more: scale it down, or drop what is out there")
-    if control.shape[3] == 4:
-        control, factors = with_common_weights(control)
-        found += factors
-    faces, kinds = (np.concatenate([getattr(part, name) for part in parts]) for name in ("faces", "kinds"))
     alone = conversion if len(parts) == 1 else None
+    if alone is None:
+        patches, said = welded(patches, weld_tolerance(patches, content.digits) if weld is None else weld)
+        found += said
+    control, said = common_degree(patches)
+    found += said
+    faces, kinds = (np.concatenate([getattr(part, name) for part in parts]) for name in ("faces", "kinds"))
     rig = content.rig if alone is not None else None
     if content.rig is not None and rig is None:
         found += ("the rig was left out: the scene has surfaces besides its control mesh",)
@@ -327,34 +354,6 @@ def _spline_part(spline: Spline, number: int) -> _Part:
     work = spline_patches(spline.control, (axes[0], axes[1]), number)
     flat = spline.control.reshape(-1, spline.control.shape[2])
     return _Part(list(work.on_host(flat)), work.faces, work.kinds)
-
-
-def _common_form(patches: list[np.ndarray]) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Patches of one degree, all rational or all polynomial, and what that took."""
-    rational = [patch.shape[2] == 4 for patch in patches]
-    if not any(rational) or all(rational):
-        return _common_degree(patches)
-    same = [
-        p if r else np.concatenate([p, np.ones_like(p[..., :1])], axis=2)
-        for p, r in zip(patches, rational, strict=True)
-    ]
-    control, notes = _common_degree(same)
-    return control, (
-        *notes,
-        f"{len(patches) - sum(rational)} of {len(patches)} patches got weights of 1, as others are rational",
-    )
-
-
-def _common_degree(patches: list[np.ndarray]) -> tuple[np.ndarray, tuple[str, ...]]:
-    degrees = np.array([np.subtract(patch.shape[:2], 1) for patch in patches])
-    du, dv = degrees.max(axis=0).tolist()
-    raised = int(np.any(degrees != (du, dv), axis=1).sum())
-    if raised == 0:
-        return np.stack(patches), ()
-    same = [np.swapaxes(elevate(np.swapaxes(elevate(p, du), 0, 1), dv), 0, 1) for p in patches]
-    return np.stack(same), (
-        f"{raised} of {len(patches)} patches were raised to bi-degree {du} x {dv}, the highest here",
-    )
 
 
 def _built_in(name: str, scheme: str, alpha: float, steps: int | None, copies: int, asked: list[str]) -> Scene:

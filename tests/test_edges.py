@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from slefejax import load
-from slefejax.edges import edge_maxima, edge_points, shared_edges
+from slefejax.bezier import elevate
+from slefejax.edges import Sides, edge_maxima, edge_points, shared_edges
 
 
 def grid_patch(rng, du=3, dv=3):
@@ -32,6 +33,49 @@ def test_neighbours_are_found_however_they_are_laid(name, rng):
     common = set(numbers[0]) & set(numbers[1])
     assert common == {numbers[0, 2]}
     assert len(set(numbers.ravel())) == 7
+
+
+@pytest.mark.parametrize("name", SYMMETRIES)
+def test_the_first_owns_the_side_and_the_other_runs_along_it_or_against_it(name, rng):
+    """Control points of a side are its owner's, from first to last; those of all other sides are their own."""
+    left, right = grid_patch(rng), grid_patch(rng)
+    right[0] = left[-1]
+    patches = np.stack([left, SYMMETRIES[name](right)])
+    sides = Sides.of(patches)
+    points = np.stack(edge_points(patches), axis=1).reshape(8, 4, 3)
+    assert sorted(set(range(8)) - set(sides.owner.ravel().tolist())) == [4 + np.argwhere(sides.owner[1] == 2).item()]
+    assert set(zip(sides.first.ravel().tolist(), sides.last.ravel().tolist(), strict=True)) <= {(0.0, 1.0), (1.0, 0.0)}
+    for side, (owner, first) in enumerate(zip(sides.owner.ravel(), sides.first.ravel(), strict=True)):
+        assert np.array_equal(points[side], points[owner][:: -1 if first else 1])
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("backwards", [False, True])
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_side_along_u_may_be_one_along_v_raised(dtype, backwards, turned, rng):
+    """A cubic, raised to 5 along one parameter here, to 4 along the other there: the side of lower degree owns it."""
+    curve = rng.normal(size=(4, 3)) + [0, 0, 50]
+    patches = rng.normal(size=(2, 6, 5, 3))
+    patches[0, :, 0] = elevate(curve[::-1] if backwards else curve, 5)
+    patches[1, -1] = elevate(curve, 4)
+    if turned:
+        patches = np.swapaxes(patches, 1, 2)
+    patches = patches.astype(dtype)
+    sides = Sides.of(patches)
+    many, few = (0, 3) if turned else (1, 2)
+    assert (sides.owner[0, many], sides.first[0, many]) == (4 + few, 1.0 * backwards)
+    assert (sides.owner[1, few], sides.first[1, few], sides.last[1, few]) == (4 + few, 0.0, 1.0)
+    assert len(np.unique(sides.numbers)) == 7
+    patches[0, 2, 2] += 1.0
+    assert len(np.unique(Sides.of(patches).numbers)) == 7
+    edge_points(patches)[many][0, 2] += 100 * np.finfo(dtype).eps * 50
+    assert len(np.unique(Sides.of(patches).numbers)) == 8, "a hundred roundings are a difference"
+
+
+def test_numbers_of_points_are_not_raised():
+    """A net whose numbers along u would be those along v, raised: they are names, not places."""
+    net = np.array([[[0, 4], [2, 5], [4, 6]], [[9, 8], [10, 12], [11, 13]]])[..., None]
+    assert len(np.unique(shared_edges(net))) == 8
 
 
 def test_one_bit_is_a_difference(rng):

@@ -35,6 +35,7 @@ LAYERS = [
         "bspline",
         "tiles",
         "optimum",
+        "coincidence",
         "rivals",
         "estimate",
         "request",

@@ -11,6 +11,7 @@ from matplotlib.image import imread
 from slefejax import NoOpenGLError
 from slefejax.experiments import inspect as inspecting
 from slefejax.experiments.cli import main
+from tests.mixed import as_bv, cube_sphere
 from tests.test_cli import SMALL, in_an_empty_folder, run_json  # noqa: F401
 from tests.test_io import OBJ, write
 from tests.test_scene import CUBE
@@ -68,6 +69,20 @@ def test_inspect_of_patches(device, capsys, tmp_path, teapot):
     assert (row["patches"], row["common_edges"], row["free_edges"], row["edges_of_no_length"]) == (32, 52, 16, 8)
 
 
+@pytest.mark.gl
+def test_inspect_of_sides_that_digits_parted(device, capsys, tmp_path):
+    """A closed surface of mixed degrees: no free side; with --weld 0 many, each of which lies on another."""
+    write(tmp_path, "mixed.bv", as_bv(cube_sphere(np.random.default_rng(5), side=1)))
+    result = run_json(capsys, "inspect", "mixed.bv", *SMALL)
+    (row,) = result["rows"]
+    assert (row["common_edges"], row["free_edges"], row["coincident_sides"]) == (12, 0, 0)
+    assert any("were welded" in note for note in result["notes"])
+    result = run_json(capsys, "inspect", "mixed.bv", *SMALL, "--weld", "0")
+    (row,) = result["rows"]
+    assert row["free_edges"] == row["coincident_sides"] > 12
+    assert f"{row['free_edges']} free sides lie on others without being shared" in " ".join(result["notes"])
+
+
 def test_inspect_says_why_a_mesh_makes_no_scene(capsys, tmp_path):
     write(tmp_path, "bad.obj", OBJ + "f 1 1 2\n")
     result = run_json(capsys, "inspect", "bad.obj")
@@ -110,6 +125,8 @@ def test_every_command_takes_meshes_and_their_options(capsys, tmp_path):
         (["a.obj", "--alpha", "-1"], "alpha must be a positive number"),
         (["a.obj", "--steps", "2"], "steps belong to the scheme"),
         (["a.obj", "--group", "none"], "no faces in a group 'none'"),
+        (["a.obj", "--weld", "0"], "weld has no meaning for it"),
+        (["a.obj", "--weld", "-1"], "weld must be a number of at least 0"),
         (["a.obj", "--cover", "2"], "share of the screen"),
         (["a.obj", "--up", "0", "0", "0"], "up must be a direction"),
         (["b.obj"], "there is no file b.obj"),

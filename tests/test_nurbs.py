@@ -10,7 +10,7 @@ from slefejax import InputError
 from slefejax.bezier import evaluate_curve, evaluate_patch
 from slefejax.bspline import basis_pieces
 from slefejax.conversion.nurbs import bezier_axis, spline_patches, uniform_knots
-from slefejax.conversion.weights import with_common_weights
+from slefejax.conversion.weld import welded
 from slefejax.edges import shared_edges
 
 
@@ -139,15 +139,19 @@ def test_weights_of_neighbours_are_brought_together():
     patches = np.array([quarter(0), quarter(1, 0.5), quarter(2, 3.7), quarter(3)[::-1] / 9.1])
     same = [patches[0] * 1.0, *(patches[1:] / np.array([0.5, 3.7, 1 / 9.1])[:, None, None, None])]
     assert len(np.unique(shared_edges(patches))) == 16
-    found, notes = with_common_weights(patches)
+    made, notes = welded(list(patches), 0.0)
+    found = np.stack(made)
     assert "weights of 3 of 4 patches were multiplied by a factor" in notes[0]
     np.testing.assert_allclose(found, same, rtol=1e-14, atol=1e-15)
     assert len(np.unique(shared_edges(found))) == 12
     nudged = found.copy()
     nudged[1, 0] *= 1 + 1e-14
-    assert "1 edges that were the same but for rounding" in with_common_weights(nudged)[1][0]
-    again, notes = with_common_weights(found)
-    assert again is found
+    made, notes = welded(list(nudged), 0.0)
+    assert "1 sides within" in notes[0]
+    assert len(np.unique(shared_edges(np.stack(made)))) == 12
+    given = list(found)
+    again, notes = welded(given, 0.0)
+    assert again is given
     assert notes == ()
 
 
@@ -155,9 +159,9 @@ def test_weights_that_cannot_agree_are_refused():
     other = quarter(1)
     other[0, 1] *= 1.5
     with pytest.raises(InputError, match=r"patches 0 and 1 .* edge in common \(u=1 and u=0\).* no multiple"):
-        with_common_weights(np.array([quarter(0), other]))
+        welded([quarter(0), other], 0.0)
     # each pair agrees up to a factor, but the factors around the ring multiply to something else than 1
     ring = np.array([quarter(k) for k in range(4)])
     ring[3, 2] *= 2.0
     with pytest.raises(InputError, match=r"cannot agree along their common edge"):
-        with_common_weights(ring)
+        welded(list(ring), 0.0)

@@ -3,6 +3,11 @@ layout(quads, SPACING, ccw) in;
 
 #include "bezier.glsl"
 #include "place.glsl"
+#if OWNED_SIDES
+#include "sides.glsl"
+#else
+#define drawn_point patch_point
+#endif
 
 patch in int tessellated_patch;
 patch in ivec4 piece;
@@ -18,6 +23,6 @@ void main() {
     parameter = in_pieces ? place_in_patch(gl_TessCoord.xy, piece, inner_levels, outer_levels) : gl_TessCoord.xy;
     patch_number = tessellated_patch;
     // Undivided and homogeneous: the rasteriser then interpolates the parameters with perspective.
-    precise vec4 position = to_clip * patch_point(tessellated_patch, parameter.x, parameter.y);
+    precise vec4 position = to_clip * drawn_point(tessellated_patch, parameter.x, parameter.y);
     gl_Position = position;
 }

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from slefejax import layout
-from slefejax.edges import shared_edges
+from slefejax.edges import Sides
 from slefejax.stencils import StencilTable
 
 KINDS = ("regular", "extraordinary", "boundary", "crease", "triangle", "spline", "bezier")
@@ -60,9 +60,14 @@ class Patchwork:
         return self.points(control if self.first is None else self.first(control))
 
     @cached_property
+    def sides(self) -> Sides:
+        """Which curve each side is: those with the same points are one, in any pose."""
+        return Sides.of(self.net[..., None])
+
+    @property
     def edge_numbers(self) -> Int[np.ndarray, "patches 4"]:
-        """Which edges are shared: those with the same points, in any pose."""
-        return shared_edges(self.net[..., None])
+        """Which edges are shared."""
+        return self.sides.numbers
 
 
 def in_layout(points: Any, net: Any) -> Any:

@@ -29,7 +29,7 @@ def read_bpt(path: Path) -> Content:
     patches = tuple(_read_patch(numbers, index) for index in range(count))
     if (item := numbers.rest()) is not None:
         raise numbers.fail(f"{item[:40]!r} follows the last of the {count} patches: is the count on line 1 right?")
-    return Content(patches=patches)
+    return Content(patches=patches, digits=numbers.digits(patches))
 
 
 def _read_patch(numbers: Numbers, index: int) -> np.ndarray:

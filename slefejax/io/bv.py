@@ -47,7 +47,8 @@ def read_bv(path: Path) -> Content:
     if not meshes and not patches:
         raise InputError(f"{path} holds no surface: at least one is needed")
     notes = (f"the normals of {normals} patches were left out",) if normals else ()
-    return Content(mesh=joined(meshes) if meshes else None, patches=tuple(patches), notes=notes)
+    mesh = joined(meshes) if meshes else None
+    return Content(mesh=mesh, patches=tuple(patches), notes=notes, digits=numbers.digits(patches))
 
 
 def _after_group(numbers: Numbers) -> str:

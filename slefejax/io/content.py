@@ -45,6 +45,8 @@ class Content:
     up      : the direction that is up, by the format's custom or the file's own word
     notes   : sentences about what was left out
     rig     : what moves the mesh, or None
+    digits  : how far apart two copies of a point can be that were written with the file's digits, in its units along
+              each coordinate; None where that cannot be told
     """
 
     mesh: Mesh | None = None
@@ -53,6 +55,7 @@ class Content:
     up: tuple[float, float, float] = Z_UP
     notes: tuple[str, ...] = ()
     rig: Rig | None = None
+    digits: float | None = None
 
 
 def read_bytes(path: Path) -> bytes:

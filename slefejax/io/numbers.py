@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from slefejax.errors import InputError
 from slefejax.io.content import read_bytes
+
+_MARGIN = 1.25  # for what a program computed, in single precision perhaps, before it wrote
+_COARSEST = 1e-4  # of the size of a model
 
 
 class Numbers:
@@ -21,6 +24,7 @@ class Numbers:
         self._path, self._comment = path, comment
         self._items = self._split(_text(path))
         self.line = 1
+        self._digits, self._unit = 0, 0.0
 
     def _split(self, text: str) -> Iterator[tuple[int, str]]:
         for number, line in enumerate(text.splitlines(), 1):
@@ -60,11 +64,45 @@ class Numbers:
             raise self.fail(f"{wanted} should be a number, not {item[:40]!r}")
         if not np.isfinite(value):
             raise self.fail(f"{wanted} is not a finite number ({item[:40]})")
+        self._count_digits(item)
         return value
+
+    def _count_digits(self, item: str) -> None:
+        """Keep the worth of the last digit of the numbers with the most digits."""
+        mantissa, _, exponent = item.lower().partition("e")
+        whole, point, fraction = mantissa.lstrip("+-").partition(".")
+        count = len((whole + fraction).lstrip("0"))
+        if point and count >= max(self._digits, 1):
+            unit = 10.0 ** (int(exponent or 0) - len(fraction))
+            self._unit = unit if count > self._digits else max(unit, self._unit)
+            self._digits = count
+
+    def digits(self, patches: Sequence[np.ndarray]) -> float | None:
+        """``Content.digits`` of patches that were read: what two roundings to the last digit make, and a quarter more.
+
+        None where all numbers are whole, or have so few digits that they are more likely meant than rounded.
+        """
+        last = self._unit
+        with np.errstate(over="ignore", invalid="ignore"):  # what is too large is told later
+            if not 0.0 < last <= _COARSEST * _size(patches):
+                return None
+            for patch in patches:
+                if patch.shape[2] == 4:  # w x and w are rounded
+                    reach = np.abs(patch[..., :3] / patch[..., 3:]).max()
+                    last = max(last, float(self._unit * (1.0 + reach) / patch[..., 3].min()))
+        return _MARGIN * last
 
     def points(self, shape: tuple[int, ...], wanted: str) -> np.ndarray:
         """The next numbers as an array of that shape."""
         return np.array([self.real(wanted) for _ in range(int(np.prod(shape)))]).reshape(shape)
+
+
+def _size(patches: Sequence[np.ndarray]) -> float:
+    """The largest extent of control points along a coordinate."""
+    if not patches:
+        return 0.0
+    points = [(patch[..., :3] / patch[..., 3:] if patch.shape[2] == 4 else patch).reshape(-1, 3) for patch in patches]
+    return float(np.ptp(np.concatenate(points), axis=0).max())
 
 
 def parse_real(item: str) -> float | None:

@@ -15,6 +15,8 @@ from slefejax.io.content import Y_UP, Z_UP, Content, Spline, joined, probe, read
 from slefejax.io.usd_skel import SkelReader
 from slefejax.mesh import Mesh
 
+_ROUNDINGS = 4  # of points, which USD has in single precision, and of what was computed before
+
 
 def read_usd(path: Path) -> Content:
     """All meshes of a stage as one control mesh, and its NURBS patches.
@@ -79,7 +81,9 @@ class _Reader:
         counts = [mesh.vertex_count for mesh in self.meshes]
         starts = np.cumsum([0, *counts])[:-1].tolist()
         rig = self.skeletons.rig(list(zip(self.paths, counts, starts, strict=True)))
-        return Content(mesh, tuple(self.splines), up=up, notes=tuple(self.notes), rig=rig)
+        largest = max((float(np.abs(spline.control[..., :3]).max()) for spline in self.splines), default=0.0)
+        digits = _ROUNDINGS * float(np.finfo(np.float32).eps) * largest
+        return Content(mesh, tuple(self.splines), up=up, notes=tuple(self.notes), rig=rig, digits=digits)
 
     def take(self, prim: Any) -> bool:
         """One prim; whether what lies below it is wanted too."""
