@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from slefejax.arguments import Patches, check_patches, real_numbers, whole_numbers
 from slefejax.bezier import bernstein, derivative
 from slefejax.direct3d11 import tessellate
+from slefejax.edges import Sides, edge_points
 from slefejax.errors import InputError
 from slefejax.tessellator import GRID, MOST_LEVEL, Pieces, check_spacing, highest_level, shares, triangle_counts
 from slefejax.view import homogeneous
@@ -36,11 +37,17 @@ class Triangulation:
     parameters: Float[np.ndarray, "vertices 2"]
     faces: Int[np.ndarray, "triangles 3"]
     _patches: np.ndarray = field(repr=False)
+    _sides: Sides | None = field(default=None, repr=False)
 
     @cached_property
     def positions(self) -> Float[np.ndarray, "vertices 3"]:
         """Points of the surface in scene units, float64."""
-        return self._through(_positions, self.parameters)
+        found = self._through(_positions, self.parameters)
+        if self._sides is not None:
+            for along_u in (False, True):
+                at, points = _on_sides(self._patches, self._sides, self.patch, self.parameters, along_u)
+                found[at] = points
+        return found
 
     @cached_property
     def normals(self) -> Float[np.ndarray, "vertices 3"]:
@@ -64,7 +71,7 @@ class Triangulation:
         return found
 
 
-def triangulate(patches: Patches, factors: Any, spacing: str = "equal") -> Triangulation:
+def triangulate(patches: Patches, factors: Any, spacing: str = "equal", sides: Sides | None = None) -> Triangulation:
     """What Direct3D 11's tessellator makes of patches cut by these levels (``slefejax.direct3d11``).
 
     patches : control points ``(patches, du+1, dv+1, 3)``, or 4 at the end if rational
@@ -72,6 +79,8 @@ def triangulate(patches: Patches, factors: Any, spacing: str = "equal") -> Trian
               u=1, v=1; 0 on an edge leaves a patch out. Past 64 patches are cut as for drawing, and what pieces have in
               common is one vertex
     spacing : ``"equal"``, ``"fractional-even"`` or ``"fractional-odd"``, for which levels are real numbers up to 64
+    sides   : which curve each side is (``slefejax.edges``): positions on it are points of its owner. If they are not
+              given, sides are shared where their points are equal, or equal once raised to one degree
 
     If a patch is cut, all vertices are placed with 24 bits (docs/certified.md, section 6), as in a picture with it;
     else with 16. Raises InputError for levels of the wrong shape or kind, or that nobody could draw.
@@ -81,16 +90,19 @@ def triangulate(patches: Patches, factors: Any, spacing: str = "equal") -> Trian
     >>> made.faces.shape, made.positions[made.faces[0]].tolist()
     ((8, 3), [[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [0.5, 0.5, 0.0]])
     """
-    patches = np.asarray(check_patches(patches), np.float64)
+    patches = np.asarray(check_patches(patches))
     inner, outer = _checked_levels(factors, len(patches), spacing)
+    if sides is None and patches.shape[1] != patches.shape[2]:
+        sides = Sides.of(patches)
+    patches = patches.astype(np.float64, copy=False)
     parts = Pieces.of(inner, outer, spacing)
     made = tessellate(parts.inner, parts.outer, spacing)
     if np.all(parts.along == 1):
-        return Triangulation(made.patch, made.parameters(), made.triangles, patches)
+        return Triangulation(made.patch, made.parameters(), made.triangles, patches, sides)
     place, along = parts.place[made.patch], parts.along[made.patch]
     steps = shares(place * made.segments + made.point, along * made.segments)
     patch, steps, number = _without_twins(parts.patch[made.patch], steps)
-    return Triangulation(patch, steps * GRID, number[made.triangles], patches)
+    return Triangulation(patch, steps * GRID, number[made.triangles], patches, sides)
 
 
 def _without_twins(
@@ -108,10 +120,12 @@ def _without_twins(
 
 def _checked_levels(factors: Any, count: int, spacing: str) -> tuple[np.ndarray, np.ndarray]:
     check_spacing(spacing)
-    pair = isinstance(factors, (tuple, list)) and len(factors) == 2
-    if not pair and not hasattr(type(factors), "edges"):
+    if hasattr(type(factors), "edges"):
+        inner, outer = factors.inner, factors.edges
+    elif isinstance(factors, (tuple, list)) and len(factors) == 2:
+        inner, outer = factors
+    else:
         raise InputError(f"levels are a Factors or a pair (inner, edges), not {type(factors).__name__}")
-    inner, outer = factors if pair else (factors.inner, factors.edges)
     numbers = whole_numbers if spacing == "equal" else real_numbers
     inner, outer = numbers(inner, "levels"), numbers(outer, "levels")
     if inner.shape != (count, 2) or outer.shape != (count, 4):
@@ -151,6 +165,25 @@ def _at(control: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
 def _positions(control: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     point = _at(control, u, v)
     return point[:3] / point[3:] if len(point) == 4 else point
+
+
+def _on_sides(
+    patches: np.ndarray, sides: Sides, patch: np.ndarray, parameters: np.ndarray, along_u: bool
+) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n 3"]]:
+    """Vertices on sides whose owners run along u, or v, and these owners' points there.
+
+    A corner belongs to two sides, whose owners end in equal points.
+    """
+    u, v = parameters.T
+    edge = np.select([u == 0, u == 1, v == 0, v == 1], [0, 2, 1, 3], -1)
+    owner = np.where(edge >= 0, sides.owner[patch, edge], -1)
+    at = np.flatnonzero((owner >= 0) & (owner % 2 == along_u))
+    own, whose = (patch[at], edge[at]), owner[at]
+    first, last = sides.first[own], sides.last[own]
+    t = first + np.where(edge[at] % 2 == 0, v[at], u[at]) * (last - first)
+    curves = np.stack(edge_points(patches)[int(along_u) :: 2], axis=1)
+    points = _symmetric_sum(np.moveaxis(curves[whose // 4, whose % 4 // 2], 0, -1), bernstein(curves.shape[2] - 1, t))
+    return at, (points[:3] / points[3:] if len(points) == 4 else points).T
 
 
 def _normals(control: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:

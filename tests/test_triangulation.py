@@ -12,6 +12,7 @@ from slefejax.bezier import elevate, evaluate_patch
 from slefejax.direct3d11 import ONE, places, rings, tessellate
 from slefejax.edges import edge_maxima, shared_edges
 from slefejax.tessellator import SPACINGS, highest_level, segments, triangle_counts, with_pieces
+from tests.mixed import as_bv, cube_sphere
 from tests.test_gpu import lattice
 from tests.test_pieces import some_levels
 
@@ -157,6 +158,22 @@ def test_a_mesh_without_cracks(rng, degree):
     assert len(places_) - len(np.unique(sides, axis=0)) + len(faces) == 1, "Euler's formula for a disc"
     exact = evaluate_patch(np.moveaxis(patches[made.patch], 0, -1), *made.parameters.T).T
     np.testing.assert_allclose(made.positions, exact, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("weld", [None, 0.0])
+def test_a_mesh_of_mixed_degrees_without_cracks(tmp_path, weld):
+    """Patches of 3 x 3, 4 x 4 and 5 x 4 in one file: watertight with sides that have owners, and not without."""
+    (tmp_path / "mixed.bv").write_text(as_bv(cube_sphere(np.random.default_rng(5))))
+    scene = load(tmp_path / "mixed.bv", weld=weld)
+    rng = np.random.default_rng(5)
+    level = rng.integers(2, 90, len(scene.patches()))
+    inner = np.repeat(level[:, None], 2, axis=1)
+    inner, outer = with_pieces(inner, edge_maxima(level, scene.edge_numbers), scene.edge_numbers)
+    made = triangulate(scene.patches(), (inner, outer), sides=scene.sides)
+    welded = np.unique(made.positions, axis=0, return_inverse=True)[1].ravel()[made.faces]
+    sides = np.sort(np.stack([welded, np.roll(welded, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    open_sides = np.sum(np.unique(sides, axis=0, return_counts=True)[1] != 2)
+    assert (open_sides == 0) == (weld is None)
 
 
 def test_rational_positions_and_normals(rng):
