@@ -196,15 +196,19 @@ class Piece(NamedTuple):
         safe = nets.each(lambda c: c - w_blur, w)
         deep = nets.bottom(safe) >= screen.floor
         inverse = nets.each(lambda c: 1.0 / jnp.where(deep, c, screen.floor), safe)
+        widest = nets.top(inverse)
+        # where an end is on the far side of 0, dividing by the largest W takes it furthest: W + blur, not W - blur
+        least = 1.0 - 2.0 * w_blur * widest
         ends, within = [], []
         for net, half, size in zip(rows, screen.half, screen.sizes, strict=True):
             limit = jnp.broadcast_to(half, deep.shape)
             blur = error * size
             low = jnp.where(deep, nets.bottom(nets.each(lambda c, i, e=blur: (c - e) * i, net, inverse)), -limit)
             high = jnp.where(deep, nets.top(nets.each(lambda c, i, e=blur: (c + e) * i, net, inverse)), limit)
+            low, high = smaller(low, low * least), larger(high, high * least)
             ends.append((_clip(low, limit), _clip(high, limit)))
             within.append(deep & (low >= -limit) & (high <= limit))
-        return Piece(rows, w, inverse, nets.top(inverse), ends, within, float(tiles**2))
+        return Piece(rows, w, inverse, widest, ends, within, float(tiles**2))
 
 
 class Remainder(NamedTuple):

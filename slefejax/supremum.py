@@ -11,6 +11,10 @@ largest sample misses at most (1/q)^2 of that: 1 % for q = 10. Coarse meshes, wh
 if they were finer (``_FINEST``). Then the samples are zoomed into around the largest ones of each patch, until what
 is left is far below. The supremum is always approached from below.
 
+Where the view volume cuts a triangle, at the rim of the picture or at the near plane, what is seen of it may be a
+sliver between samples. Of twisted bicubic patches from inside, at fields of view of 150 to 179 degrees, 5 in 1,000
+errors up to one pixel were more than 1 % low (2 % at most), 6 in 1,000 up to 4 pixels (4 %), 1 in 10 beyond 16 (19 %).
+
 Everything is float64, in batches of bounded size, whatever the factors.
 """
 
@@ -32,8 +36,8 @@ from slefejax.view import View, homogeneous
 
 _LATTICE = 10  # q: intervals of the samples' lattice along each side
 _FINEST = 60  # samples along each side of a patch, at least
-_KEPT = 4  # windows of a patch that are zoomed into
-_ZOOMS = 3
+_KEPT = 16  # windows of a patch that are zoomed into
+_ZOOMS = 4
 _UNSEEN = -1.0
 _BATCH = 2**16  # windows in memory at once
 
@@ -54,7 +58,8 @@ def sampled_error(patches: Patches, factors: Any, view: View) -> Float[np.ndarra
 
     patches : control points ``(patches, du+1, dv+1, 3)``, or 4 at the end if rational
     factors : whole numbers ``(patches,)``, or ``(patches, 2)`` along u and v, or a ``Factors``; 0: not drawn, error 0
-    returns : ``(patches,)`` float64, known to 1 % (module docstring); infinite where a visible sample has exact W <= 0
+    returns : ``(patches,)`` float64, known to 1 % but where the view volume cuts triangles (module docstring), and
+              never too large; infinite where a visible sample has exact W <= 0
 
     OpenGL leaves the diagonal open, so the worse one counts. Raises InputError for factors of the wrong shape or kind.
 

@@ -42,7 +42,7 @@ def triangle_error(patches: Patches, triangles: Any, view: View) -> Float[np.nda
     patches   : control points ``(patches, du+1, dv+1, 3)``, or 4 at the end if rational
     triangles : what ``slefejax.triangulate`` or ``slefejax.gpu.Renderer.capture`` returns, or anything else with
                 ``.patch`` ``(triangles,)`` and ``.parameters`` ``(triangles, 3, 2)``: a ``DomainTriangles``
-    returns   : ``(patches,)`` float64, known to 1 % as in ``sampled_error``; 0 for a patch without a visible triangle
+    returns   : ``(patches,)`` float64, known as well as ``sampled_error``; 0 for a patch without a visible triangle
 
     Raises InputError for triangles of the wrong shape, or of patches that are not there.
     """

@@ -11,8 +11,10 @@ import pytest
 
 from slefejax import layout, nets
 from slefejax.bezier import evaluate_patch
-from slefejax.certified import _CUBIC, _of_any_triangle, _of_half_cell, certified_factor
+from slefejax.certified import _CUBIC, _ROUNDING, Piece, Screen, _of_any_triangle, _of_half_cell, certified_factor
 from slefejax.estimate import Projection
+from slefejax.rings import direct3d11
+from slefejax.tessellator import GRID, HIGHEST_LEVEL, shares
 
 from .hostile import case
 
@@ -134,3 +136,42 @@ def test_both_forms_of_nets_are_one_computation(seed, any_triangle):
             )(packed)
         )
     np.testing.assert_allclose(*found, rtol=1e-9)
+
+
+@pytest.mark.parametrize("offset", [-3.0, 0.0, 3.0])
+def test_ends_of_the_part_of_the_picture(rng, offset):
+    """Coefficients that rounding moved by as much as is allowed still lie between both ends: W up as well as down.
+
+    With roundings of 1e-4 instead of 1e-16, so that the wrong end of W shows.
+    """
+    eps, lanes = 1e-4, 200
+    x = jnp.asarray(offset + rng.uniform(-1.0, 1.0, (3, 3, lanes)))
+    w = jnp.asarray(rng.uniform(0.5, 2.0, (3, 3, lanes)))
+    size, half = jnp.full(lanes, 4.0), jnp.asarray(100.0)
+    floor, ones = jnp.full(lanes, 0.1), jnp.ones(lanes)
+    screen = Screen([x], w, [half], floor, [size], 2.0 * ones, eps, ones > 0, False)
+    piece = Piece.of(screen, [x], w, 1)
+    (low, high), error = (np.asarray(end) for end in piece.ends[0]), _ROUNDING * eps
+    assert np.all(np.asarray(piece.within[0]))
+    for x_sign in (-1, 1):
+        for w_sign in (-1, 1):
+            moved = (np.asarray(x) + x_sign * error * 4.0) / (np.asarray(w) + w_sign * error * 2.0)
+            # both are rounded in their last digits
+            assert np.all(low <= moved.min(axis=(0, 1)) + 1e-12)
+            assert np.all(moved.max(axis=(0, 1)) - 1e-12 <= high)
+            assert np.all(1.0 / (np.asarray(w) + w_sign * error * 2.0) <= np.asarray(piece.inverse) * (1 + 1e-15))
+    exact = np.asarray(x) / np.asarray(w)
+    assert np.all(high - low <= np.ptp(exact, axis=(0, 1)) + 8.0 * error * (4.0 + 12.0 * 2.0) / 0.45)
+
+
+def test_lines_of_24_bits_lie_between_those_of_16():
+    """Cells of k/n placed with 24 bits are neither wider nor narrower than the pattern says of 16 bits, or 1/n."""
+    pattern = direct3d11()
+    for n in range(2, HIGHEST_LEVEL + 1):
+        widths = np.diff(shares(np.arange(n + 1), np.full(n + 1, n)) * GRID)
+        assert widths.max() <= pattern.cells(np.array(n))
+        assert widths.min() >= pattern.cells(np.array(n)) * pattern.narrowest(np.array(n))
+    for n in (65, 100, 1000, 16383, 16384):
+        widths = np.diff(shares(np.arange(n + 1), np.full(n + 1, n)) * GRID)
+        assert widths.max() <= pattern.cells(np.array(n))
+        assert widths.min() >= pattern.cells(np.array(n)) * pattern.narrowest(np.array(n))

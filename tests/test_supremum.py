@@ -315,3 +315,27 @@ def test_minimal_pairs_save_triangles_on_the_teapot(teapot, main_view):
     assert sampled_error(teapot.patches(), pairs, main_view).max() <= 0.5
     assert np.all(pairs.prod(axis=1) <= factors**2)
     assert 2 * pairs.prod(axis=1).sum() == pytest.approx(15_994, rel=0.01)
+
+
+def test_the_largest_of_many_maxima_at_wide_angles(monkeypatch):
+    """Twisted bicubic patches from inside, 60 cells a side, many maxima nearly as high: 1 % of a finer search."""
+    t, cells = np.linspace(-0.5, 0.5, 4), np.full(2, 60)
+    patches, views = [], []
+    for seed, number in ((17, 7), (9, 1)):
+        rng = np.random.default_rng(seed)
+        nets = np.zeros((24, 4, 4, 3))
+        nets[..., 0], nets[..., 1] = t[:, None], t
+        nets += rng.normal(size=nets.shape) * rng.choice([0.05, 0.2, 0.5], (24, 1, 1, 1))
+        nets[:, -1, -1] += rng.normal(size=(24, 3))
+        fov, direction = rng.uniform(150.0, 179.0), rng.normal(size=3)
+        eye = direction / np.linalg.norm(direction) * rng.uniform(0.1, 1.2)
+        views.append(View(Camera.look_at(eye, rng.normal(size=3) * 0.2, fov_y=fov, near=0.01), 800, 600))
+        patches.append(nets[number])
+    for patch, view, n in zip(patches, views, cells, strict=True):
+        found = sampled_error(patch[None], [n], view)[0]
+        with monkeypatch.context() as finer:
+            for name, value in (("_FINEST", 640), ("_KEPT", 128), ("_ZOOMS", 6)):
+                finer.setattr(supremum, name, value)
+            dense = sampled_error(patch[None], [n], view)[0]
+        assert 0.2 < dense < 4.0
+        assert 0.99 * dense <= found <= dense * (1 + 1e-9)
