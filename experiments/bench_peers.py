@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from slefejax.bezier import bernstein
-from slefejax.estimate import Projection
+from slefejax.projection import Projection
 from slefejax.skinning import Influences
 from slefejax.slefe import slefe_table
 

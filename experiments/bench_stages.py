@@ -13,10 +13,11 @@ import numpy as np
 
 from slefejax import Camera, Scene, View, layout, load, tessellation_factors, worst_points
 from slefejax.error import pixel_error
-from slefejax.estimate import Boxes, Projection, line_of_sight
+from slefejax.estimate import Boxes
 from slefejax.experiments import bench_peers as peers
 from slefejax.factors import view_pass
 from slefejax.gpu import Device, Renderer
+from slefejax.projection import Projection, line_of_sight
 from slefejax.skinning import linear_blend
 from slefejax.slefe import slefe_table
 from slefejax.slefe_tables import build_table

@@ -89,7 +89,7 @@ def real_numbers(values: Any, what: str) -> Float[np.ndarray, "*shape"]:
 def floating(values: Numbers) -> Any:
     """Numbers as an array of float32 or float64, whichever they are, or InputError.
 
-    Half precision becomes float32; anything else, whole numbers too, float64 (float32 where JAX has no float64).
+    Half precision becomes float32; anything else, whole numbers too, float64, on the host, whether JAX has that or not.
     """
     try:
         array = values if isinstance(values, (jax.Array, np.ndarray)) else np.asarray(values)
@@ -101,8 +101,14 @@ def floating(values: Numbers) -> Any:
         raise InputError("an array of real numbers is needed, not of complex ones")
     if str(array.dtype) in ("float32", "float64"):  # not of the other byte order
         return array
-    half = str(array.dtype) in ("float16", "bfloat16")
-    return array.astype(np.float32 if half else jax.dtypes.canonicalize_dtype(np.float64))
+    if str(array.dtype) in ("float16", "bfloat16"):
+        return array.astype(np.float32)
+    if isinstance(array, Tracer):
+        return array.astype(jax.dtypes.canonicalize_dtype(np.float64))
+    whole = np.asarray(array).astype(np.float64)
+    if array.dtype.kind in "iu" and array.size and max(int(array.max()), -int(array.min())) > 2**53:
+        raise InputError("whole numbers beyond 2^53 are not exact as float64: take an offset off them first")
+    return whole
 
 
 def check_patches(patches: Patches, dims: tuple[int, ...] | None = (3, 4)) -> Any:

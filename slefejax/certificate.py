@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from slefejax import layout
 from slefejax.certified import certified_factor
-from slefejax.estimate import Projection
+from slefejax.projection import Projection
 from slefejax.rings import Pattern
 from slefejax.tessellator import HIGHEST_LEVEL
 

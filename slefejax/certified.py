@@ -17,9 +17,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from slefejax import layout, nets
-from slefejax.estimate import Projection
 from slefejax.maxima import larger, largest, sizes, smaller
 from slefejax.nets import Lanes, Net
+from slefejax.projection import Projection
 
 Hessian = tuple[Net | None, Net, Net | None]
 Extent = tuple[Any, Any]  # sides of the box that holds a triangle, in units of 1/n, along u and v
@@ -154,14 +154,10 @@ class Screen(NamedTuple):
         rows = [[row[a] for a in range(4)] for row in matrix]
         x, y, z, w = (nets.each(partial(_image, row), *points) for row in rows)
         largest = [nets.top(nets.each(jnp.abs, coordinate)) for coordinate in points]
-        if rational:
-            # coordinates times weights were taken off
-            largest = [
-                *(c + jnp.abs(o) * largest[3] for c, o in zip(largest, projection.origin, strict=False)),
-                largest[3],
-            ]
-        else:
-            largest = [*largest, 1.0]
+        # of rational patches coordinates times weights were taken off
+        weight = largest[3] if rational else projection.rounded
+        moved = [c + jnp.abs(o) * weight for c, o in zip(largest, projection.origin, strict=False)]
+        largest = [*moved, largest[3] if rational else 1.0]
         *own, w_size = (nets.total([jnp.abs(m) * c for m, c in zip(row, largest, strict=True)]) for row in rows)
         sizes = [size + extent * w_size for size, extent in zip(own, half, strict=True)]
         eps = float(jnp.finfo(control.dtype).eps)

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jax.lax import select
 from jaxtyping import Array, Float
 
@@ -20,55 +19,11 @@ from slefejax import layout, nets
 from slefejax.bezier import bernstein
 from slefejax.maxima import extent, larger, largest, largest_along, smaller
 from slefejax.nets import Net
+from slefejax.projection import Projection, harmless, relative
 from slefejax.slefe import SECOND, Smooth, box_at, enclose_at, enclose_patch
-from slefejax.view import View
 
 Grid = Float[Array, "bu bv lanes"]
 _UNROLLED = 25  # boxes
-
-
-class Projection(NamedTuple):
-    """What factors need to know of a view, for points relative to an origin that is near to them or to the eye.
-
-    Far from the world's origin digits would be lost otherwise, in single precision all of them a million sizes away.
-    """
-
-    to_pixels: Any  # (4, 4): to undivided pixels from the picture's centre, half window depth, W
-    frustum: Any  # (6, 4): linear in the homogeneous point, all at least 0 inside the view volume
-    near_w: Any  # W of the near plane
-    half: Any  # (3,): half the picture's width and height in pixels, half the window depth
-    origin: Any  # (3,), in the world
-
-    @staticmethod
-    def of(view: View, dtype: Any = np.float64, origin: Any = None) -> Projection:
-        """Numbers of a type. The frustum: left, right, bottom, top, near and far plane.
-
-        origin : three numbers of that type; None: the eye. What the eye loses in that type is part of the matrices
-        """
-        origin = view.camera.eye.astype(dtype) if origin is None else origin
-        clip = view.to_clip(origin)
-        xp = np if isinstance(clip, np.ndarray) else jnp
-        half = (0.5 * view.width, 0.5 * view.height, 0.5)
-        scaled = [clip[row] * extent for row, extent in enumerate((*half, 1.0))]
-        planes = [extent * clip[3] + sign * row for row, extent in zip(scaled, half, strict=False) for sign in (1, -1)]
-        parts = (xp.stack(scaled), xp.stack(planes), view.camera.near_w, xp.asarray(half), origin)
-        return Projection(*(xp.asarray(part, dtype) for part in parts))
-
-    def relative(self, points: Any, axis: int = -2) -> Any:
-        """World points relative to the origin (``relative``)."""
-        return relative(points, self.origin, axis)
-
-
-def relative(points: Any, origin: Any, axis: int = -2) -> Any:
-    """Points, three or four homogeneous coordinates along an axis, relative to an origin."""
-    shape = [1] * points.ndim
-    shape[axis] = 3
-    origin = origin.reshape(shape)
-    if points.shape[axis] == 3:
-        return points - origin
-    xp = np if isinstance(points, np.ndarray) else jnp
-    own, weight = xp.split(points, [3], axis=axis)
-    return xp.concatenate([own - weight * origin, weight], axis=axis)
 
 
 def slefe_factor(
@@ -154,32 +109,6 @@ def _factor_there(
         width: Any = projected_widths(low[None, None], high[None, None], projection, depth_tolerance is not None)[which]
         demands.append(width[0, 0] / (tolerance, depth_tolerance)[which])
     return tau(largest(demands), k, max(segments))
-
-
-def harmless(control: Any, projection: Projection, scale: Any = 1.0) -> Any:
-    """Whether all control points are finite, and small enough for their images, over a scale, to be."""
-    # the sum of their sizes, which costs less than the largest of them and is not much more
-    reach, eye = nets.sum_of_sizes(control), jnp.max(jnp.abs(projection.origin))
-    reach = reach + eye * (reach if control.shape[2] == 4 else 1.0)
-    # a sum of four products of points and matrix entries, differences of such sums, and the picture's size
-    return jnp.isfinite(64 * (reach / scale) * jnp.max(jnp.abs(projection.frustum)))
-
-
-def line_of_sight(view: View, packed: Any) -> Any:
-    """An origin for control points in the layout of the kernels: on the line of sight, beside the nearest of them.
-
-    That is the eye if some are beside or behind it. There points that matter have small coordinates, and those of the
-    origin on the screen are 0. The eye, too, if points or view are traced.
-    """
-    camera = view.camera
-    if isinstance(packed, Tracer) or not isinstance(camera.world_to_eye, np.ndarray):
-        return camera.eye.astype(packed.dtype)
-    corners = np.asarray(packed)[:, 0, 0].astype(np.float64)
-    with np.errstate(invalid="ignore", over="ignore"):
-        points = corners[:, :3] / (corners[:, 3:] if packed.shape[3] == 4 else 1.0)
-        ahead = -np.einsum("a,cal->cl", camera.world_to_eye[2, :3], points - camera.eye[:, None])
-    nearest = np.min(ahead, where=np.isfinite(ahead), initial=camera.far)
-    return (camera.eye - max(nearest, 0.0) * camera.world_to_eye[2, :3]).astype(packed.dtype)
 
 
 class Boxes(NamedTuple):

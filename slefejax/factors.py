@@ -20,7 +20,8 @@ from slefejax.certified import certified_factors
 from slefejax.drawn import drawn_levels
 from slefejax.edges import check_edge_numbers, edge_maxima, shared_edges
 from slefejax.errors import InputError
-from slefejax.estimate import Boxes, Projection, factor_of_boxes, harmless, line_of_sight, slefe_factor, slefe_factors
+from slefejax.estimate import Boxes, factor_of_boxes, slefe_factor, slefe_factors
+from slefejax.projection import Projection, harmless, least_distance, placed, positive
 from slefejax.request import Request
 from slefejax.rings import Pattern
 from slefejax.rules import RULES, on_screen
@@ -200,8 +201,9 @@ def tessellation_factors(
     )
     if edge_numbers is not None:
         edge_numbers = check_edge_numbers(edge_numbers, len(patches))
-    packed = layout.pack(patches)
-    return factors_of(packed, None, lambda: patches, len(patches), view, request, edge_numbers)
+    _check_view(view)
+    packed, projection = placed(patches, view)
+    return factors_of(packed, None, lambda: patches, len(patches), view, projection, request, edge_numbers)
 
 
 def factors_of(
@@ -210,17 +212,16 @@ def factors_of(
     patches: Callable[[], Any],
     count: int,
     view: View,
+    projection: Projection,
     request: Request,
     edge_numbers: Any,
 ) -> Factors:
     """Factors of patches in the layout of the kernels (``slefejax.layout``). Raises as ``tessellation_factors`` does.
 
-    boxes   : of ``slefe``: the patches' slefe boxes in the same layout, if they are there already
-    patches : makes them in the order of users, ``(patches, du+1, dv+1, dim)``; called only where that is needed
+    boxes      : of ``slefe``: the patches' slefe boxes in the same layout, if they are there already
+    patches    : makes them in the order of users, ``(patches, du+1, dv+1, dim)``; called only where that is needed
+    projection : of the view, for the packed patches (``slefejax.projection``)
     """
-    if not isinstance(view, View):
-        raise InputError(f"the view must be a slefejax.View (a camera and a picture size), not {type(view).__name__}")
-    projection = Projection.of(view, packed.dtype, line_of_sight(view, packed) if boxes is None else boxes.origin)
     scales = tuple(None if x is None else jnp.asarray(x, packed.dtype) for x in request.numbers)
     needed = packed if boxes is None or packed.shape[3] == 4 else None
     seen = (needed, None if boxes is None else boxes.lower, None if boxes is None else boxes.upper)
@@ -242,7 +243,7 @@ def factors_of(
 
     @cache
     def certify() -> Certificate:
-        concrete = projection.relative(np.asarray(patches(), packed.dtype), axis=-1)
+        concrete = projection.relative(layout.unpack_on_host(packed, count), axis=-1)
         return Certificate(concrete, projection, (scales[0], scales[1]), request.fineness, request.pattern, proof)
 
     pairs = certify().pairs() if request.anisotropic else None
@@ -258,7 +259,7 @@ def view_pass(
     seen : control points, None where boxes are enough; lower and upper ends of slefe boxes relative to the origin, or
            None twice, to compute them on the way
     """
-    bad = _out_of_range(scales, method)
+    bad = _out_of_range(scales, method, projection)
     packed, lower, upper = seen
     if method == "certified":
         factor: Any = certified_factors(packed, projection, scales, fineness)
@@ -275,9 +276,18 @@ def view_pass(
     return jnp.where(bad, jnp.nan, factor)
 
 
-def _out_of_range(scales: tuple[Any, ...], method: str) -> Any:
-    """Whether a number that was traced, so that nobody could look at it, is not positive, or no temperature."""
-    bad: Any = False
+def _check_view(view: Any) -> None:
+    if not isinstance(view, View):
+        raise InputError(f"the view must be a slefejax.View (a camera and a picture size), not {type(view).__name__}")
+
+
+def _out_of_range(scales: tuple[Any, ...], method: str, projection: Projection) -> Any:
+    """Whether a number that was traced, so that nobody could look at it, is not positive, or no temperature.
+
+    Or whether the view is so small or so large that numbers of this type lose their digits.
+    """
+    least = least_distance(projection.near_w.dtype)
+    bad: Any = ~(projection.near_w >= least) | ~(jnp.max(jnp.abs(projection.frustum[:, :3])) <= 1.0 / least)
     for scale in scales:
         if scale is not None:
             bad |= ~(scale > 0)
@@ -291,6 +301,7 @@ def _from_boxes(seen: Any, projection: Projection, *scales: Any, segments: tuple
     # boxes of control points that are not finite are not finite either
     fine = harmless(lower, projection) & harmless(upper, projection)
     if control is not None:
+        fine &= positive(control)
         control = projection.relative(control)
     factor = factor_of_boxes((lower, upper), control, projection, *scales, segments=segments)
     return jnp.where(fine, factor, jnp.nan)
@@ -310,14 +321,14 @@ def _unless_bad(kernel: Callable[..., Any]) -> Callable[..., Any]:
 
     def checked(control: Any, projection: Projection, *arguments: Any) -> Any:
         found = kernel(projection.relative(control), projection, *arguments)
-        return jnp.where(harmless(control, projection), found, jnp.nan)
+        return jnp.where(harmless(control, projection) & positive(control), found, jnp.nan)
 
     return checked
 
 
 def _harmless_over_scales(control: Any, projection: Projection, *scales: Any) -> Any:
     """The same where control points are divided by each of these scales too."""
-    fine = harmless(control, projection)
+    fine = harmless(control, projection) & positive(control)
     for scale in scales:
         if scale is not None:
             fine &= harmless(control, projection, scale)
@@ -333,5 +344,6 @@ def _check_result(factor: np.ndarray, make_patches: Callable[[], Any]) -> None:
     if not np.isfinite(patches[bad[0]]).all():
         raise InputError(f"{where} (counted from 0) has control points that are not finite numbers: repair or drop it")
     raise InputError(
-        f"the factor of {where} (counted from 0) overflows {factor.dtype}: scale the scene, or raise the tolerance"
+        f"the factor of {where} (counted from 0) overflows {factor.dtype}: scale the scene, raise the tolerance or move"
+        " the near plane away from the eye"
     )

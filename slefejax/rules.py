@@ -14,8 +14,9 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from slefejax.estimate import Projection, inside_of_tiles
+from slefejax.estimate import inside_of_tiles
 from slefejax.maxima import root
+from slefejax.projection import Projection
 from slefejax.slefe import enclose_patch
 
 Control = Float[Array, "nu nv dim lanes"]

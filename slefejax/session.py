@@ -22,8 +22,9 @@ from jaxtyping import Float
 from slefejax import layout
 from slefejax.conversion.patchwork import in_layout
 from slefejax.errors import InputError
-from slefejax.estimate import Boxes, Projection, boxes_pass
+from slefejax.estimate import Boxes, boxes_pass
 from slefejax.factors import Factors, factors_of, view_pass
+from slefejax.projection import Projection, line_of_sight
 from slefejax.request import Request
 from slefejax.rig import Deformation, Pose, check_time
 from slefejax.scene import Scene
@@ -226,7 +227,14 @@ class Session:
     def _look(self, view: View) -> Factors:
         count, edges = len(self.scene.control), self.scene.edge_numbers
         packed, patches = self._packed, self._patches_of(self._packed)
-        return factors_of(packed, self._boxes, patches, count, view, self.request, edges)
+        return factors_of(packed, self._boxes, patches, count, view, self._projection(view), self.request, edges)
+
+    def _projection(self, view: View) -> Projection:
+        """For the packed patches of this pose."""
+        if not isinstance(view, View):
+            raise InputError(f"the view must be a slefejax.View, not {type(view).__name__}")
+        origin = self._boxes.origin if self._boxes is not None else line_of_sight(view, self._packed)
+        return Projection.of(view, self._dtype, origin, rounded=self.scene.control.dtype != self._dtype)
 
     def _patches_of(self, packed: Any) -> Callable[[], np.ndarray]:
         """The patches of this pose, also when the session has gone on to another one."""

@@ -17,8 +17,8 @@ from jaxtyping import Bool, Float, Int
 
 from slefejax import layout
 from slefejax.bezier import bernstein, combine, derivative
-from slefejax.estimate import Projection
 from slefejax.maxima import larger
+from slefejax.projection import Projection
 from slefejax.rings import Pattern
 from slefejax.tessellator import GRID, HIGHEST_LEVEL, shares
 from slefejax.view import homogeneous

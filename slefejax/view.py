@@ -117,15 +117,16 @@ class Camera:
             vector = getattr(camera, name)
             if vector.shape != (3,):
                 raise InputError(f"the camera's {name} must be three numbers, not an array of shape {vector.shape}")
-            largest = xp.max(xp.abs(vector))
-            _check(largest < LARGEST, f"the camera's {name} must be finite, and below {LARGEST:g}, not {vector}")
+            if xp is np:
+                largest = np.max(np.abs(vector))
+                _check(largest < LARGEST, f"the camera's {name} must be finite, and below {LARGEST:g}, not {vector}")
         _check(_scalar(far) > _scalar(near), f"far ({far}) must be beyond near ({near})")
         for name, value in (("near", near), ("far", far), ("extent", extent)):
-            _check(xp.abs(_scalar(value)) < LARGEST, f"the camera's {name} must be finite, not {value}")
-        side = xp.cross(camera.target - camera.eye, camera.up)
-        _check(
-            xp.linalg.norm(side) > 0.0, "the camera's eye and target coincide, or the view direction is parallel to up"
-        )
+            if not isinstance(value, Tracer):  # in float32 the limit would overflow
+                _check(np.abs(_scalar(value)) < LARGEST, f"the camera's {name} must be finite, not {value}")
+        if xp is np:
+            side = np.cross(_of_size_one(camera.target - camera.eye), _of_size_one(camera.up))
+            _check(np.any(side), "the camera's eye and target coincide, or the view direction is parallel to up")
         return camera
 
     @property
@@ -150,7 +151,7 @@ class Camera:
         zero, one = xp.zeros_like(near + 0.0), xp.ones_like(near + 0.0)
         if self.perspective:
             scale = 1.0 / xp.tan(xp.deg2rad(_scalar(self.extent)) / 2.0)
-            depth = [(far + near) / (near - far), 2.0 * far * near / (near - far)]
+            depth = [(far + near) / (near - far), 2.0 * far * (near / (near - far))]
             last = [zero, zero, -one, zero]
         else:
             scale = 2.0 / _scalar(self.extent)
@@ -266,7 +267,15 @@ def _scalar(value: Any) -> Any:
 
 
 def _unit(vector: Any) -> Any:
+    vector = _of_size_one(vector)
     return vector / _namespace(vector).linalg.norm(vector)
+
+
+def _of_size_one(vector: Any) -> Any:
+    """Times a power of two, so that no square of a number vanishes; as it is if it is traced."""
+    if not isinstance(vector, np.ndarray) or not np.any(vector):
+        return vector
+    return vector * 2.0 ** -np.floor(np.log2(np.abs(vector).max()))
 
 
 def check_views(views: Any) -> None:

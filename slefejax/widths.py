@@ -13,7 +13,8 @@ from jaxtyping import Array, Float
 from slefejax import layout
 from slefejax.arguments import Number, Patches, Segments, check_patches, segment_pair
 from slefejax.errors import InputError
-from slefejax.estimate import Projection, line_of_sight, visible_widths
+from slefejax.estimate import visible_widths
+from slefejax.projection import Projection, placed, positive
 from slefejax.request import check_smooth
 from slefejax.slefe import enclose_patch
 from slefejax.tiles import check_weights
@@ -55,8 +56,7 @@ def _over_patches(patches: Patches, view: View, smooth: Any, segments: Any) -> A
     check_weights(patches)
     if not isinstance(view, View):
         raise InputError(f"the view must be a slefejax.View (a camera and a picture size), not {type(view).__name__}")
-    packed = layout.pack(patches)
-    projection = Projection.of(view, packed.dtype, line_of_sight(view, packed))
+    packed, projection = placed(patches, view)
     smooth = None if smooth is None else jnp.asarray(smooth, packed.dtype)
     found = layout.unpack(_pass(packed, projection, smooth, segments), len(patches))
     bad = [] if isinstance(found, Tracer) else np.flatnonzero(~np.isfinite(np.asarray(found)))
@@ -70,7 +70,7 @@ def _pass(packed: Any, projection: Projection, smooth: Any, segments: Any) -> An
     kernel = _twist if segments is None else partial(_width, segments=segments)
 
     def finite(control: Any, projection: Projection, smooth: Any) -> Any:
-        fine = jnp.all(jnp.isfinite(control), axis=(0, 1, 2))
+        fine = jnp.all(jnp.isfinite(control), axis=(0, 1, 2)) & positive(control)
         return jnp.where(fine, kernel(projection.relative(control), projection, smooth), jnp.nan)
 
     return layout.over_chunks(finite, packed, projection, smooth)

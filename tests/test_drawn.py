@@ -7,7 +7,7 @@ import pytest
 
 from slefejax import Camera, InputError, View, sampled_error, tessellation_factors
 from slefejax.certificate import Certificate
-from slefejax.estimate import Projection
+from slefejax.projection import Projection
 from slefejax.rings import direct3d11
 from slefejax.verified import Nets, drawn_grids_hold, grids_hold
 

@@ -37,6 +37,7 @@ LAYERS = [
         "optimum",
         "coincidence",
         "rivals",
+        "projection",
         "estimate",
         "request",
         "nets",

@@ -12,7 +12,7 @@ import pytest
 from slefejax import layout, nets
 from slefejax.bezier import evaluate_patch
 from slefejax.certified import _CUBIC, _ROUNDING, Piece, Screen, _of_any_triangle, _of_half_cell, certified_factor
-from slefejax.estimate import Projection
+from slefejax.projection import Projection
 from slefejax.rings import direct3d11
 from slefejax.tessellator import GRID, HIGHEST_LEVEL, shares
 
