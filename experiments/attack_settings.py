@@ -1,0 +1,93 @@
+"""How a batch of ``slefejax attack`` asks for factors, and what of the answer is judged."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import numpy as np
+
+from slefejax import Factors, InputError, tessellation_factors
+from slefejax.experiments.attack_judge import Look
+from slefejax.experiments.attack_views import view_of
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One way to ask.
+
+    options : keyword arguments of ``tessellation_factors``
+    judged  : ``uniform`` grids of n = ceil(factor) ... + 3; ``drawn``: the tessellator's triangles for ``.inner`` and
+              ``.edges``; ``climb``: uniform grids of nets that are moved towards the worst ratio
+    dtype   : of the control points;  double : whether JAX computes in double precision
+    depth   : whether window depth is held to a tolerance too
+    patches : of a batch
+    levels  : uniform: what one of the patches in each view just needs; drawn: about the largest
+    """
+
+    name: str
+    options: dict[str, Any] = field(default_factory=dict)
+    judged: str = "uniform"
+    dtype: Any = np.float64
+    double: bool = True
+    depth: bool = False
+    patches: int = 96
+    levels: tuple[float, float] = (2.0, 40.0)
+
+    @property
+    def single(self) -> bool:
+        """Whether kernels run in single precision."""
+        return not self.double or self.dtype == np.float32
+
+    def precision(self) -> AbstractContextManager:
+        """JAX as this setting has it."""
+        return jax.enable_x64(self.double)
+
+
+_DRAWN = (4.0, 64.0)
+SETTINGS = {
+    setting.name: setting
+    for setting in (
+        Setting("tiles-1", {"tiles": 1}),
+        Setting("tiles-2"),
+        Setting("tiles-4", {"tiles": 4}),
+        Setting("depth", depth=True),
+        Setting("float32", dtype=np.float32),
+        Setting("x64-off", double=False),
+        Setting("verify", {"tiles": 1, "verify": True}, patches=16, levels=(2.0, 12.0)),
+        Setting("climb", {"tiles": 1}, "climb", patches=16),
+        Setting("drawn", {"tiles": 1}, "drawn", patches=32, levels=_DRAWN),
+        Setting("drawn-anisotropic", {"tiles": 1, "anisotropic": True}, "drawn", patches=16, levels=_DRAWN),
+        Setting("drawn-verify", {"tiles": 1, "verify": True}, "drawn", patches=16, levels=(4.0, 16.0)),
+        Setting("drawn-float32", {"tiles": 1}, "drawn", dtype=np.float32, patches=32, levels=_DRAWN),
+        Setting("drawn-past-64", {"tiles": 1}, "drawn", patches=12, levels=(50.0, 130.0)),
+    )
+}
+
+
+def predicted(
+    patches: np.ndarray,
+    look: Look,
+    setting: Setting,
+    tolerance: float,
+    depth_tolerance: float | None = None,
+    edge_numbers: np.ndarray | None = None,
+) -> Factors | None:
+    """What is claimed, or None where it is refused in words. Levels are asked for where edges are given."""
+    try:
+        with setting.precision():
+            found = tessellation_factors(
+                patches,
+                view_of(look),
+                tolerance=tolerance,
+                depth_tolerance=depth_tolerance,
+                edge_numbers=edge_numbers,
+                **setting.options,
+            )
+            if edge_numbers is not None:
+                _ = found.inner
+            return found
+    except InputError:
+        return None
