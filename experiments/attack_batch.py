@@ -129,22 +129,24 @@ def judged_uniform(
 
 
 def claimed(patches: np.ndarray, look: Look, setting: Setting, rng: np.random.Generator) -> Claim | None:
-    """Factors for tolerances with which one of the patches needs just a whole number of cells, seldom far beyond the setting's.
+    """Factors for tolerances with which one of the patches needs just a whole number of cells.
 
-    None where they are refused. With depth half of the tolerances of pixels play no part.
+    Mostly one of the setting's levels, seldom more; None where factors are refused. Of those with a tolerance of depth
+    half hold pixels to nothing.
     """
-    n = np.rint(np.exp(rng.uniform(*np.log(setting.levels))) * (1.0 if rng.uniform() < 0.9 else 4.0))
-    share, only_depth = rng.uniform(0.4, 0.9), bool(rng.integers(2))
-    tolerance, depth = None, None
+    n = float(np.rint(np.exp(rng.uniform(*np.log(setting.levels))) * (1.0 if rng.uniform() < 0.9 else 4.0)))
+    share, only_depth = rng.uniform(0.4, 0.9), setting.depth and bool(rng.integers(2))
+    pixels, depth = _ANY, None
     if setting.depth:
-        depth = _tuned(lambda t: predicted(patches, look, setting, _ANY, t), _DEPTH_GUESS, float(n), share)
-    if not setting.depth or not only_depth:
-        tolerance = _tuned(lambda t: predicted(patches, look, setting, t, depth and _ANY), _GUESS, float(n), share)
-    tolerances = (_ANY if tolerance is None and only_depth and setting.depth else tolerance, depth)
-    if tolerances[0] is None or (setting.depth and depth is None):
+        depth = _tuned(lambda t: predicted(patches, look, setting, _ANY, t), _DEPTH_GUESS, n, share)
+        if depth is None:
+            return None
+    if not only_depth:
+        pixels = _tuned(lambda t: predicted(patches, look, setting, t, depth and _ANY), _GUESS, n, share)
+    found = None if pixels is None else predicted(patches, look, setting, pixels, depth)
+    if found is None or pixels is None:
         return None
-    found = predicted(patches, look, setting, *tolerances)
-    return None if found is None else Claim(look, tolerances, np.asarray(found.factor, np.float64))
+    return Claim(look, (pixels, depth), np.asarray(found.factor, np.float64))
 
 
 def _tuned(ask: Callable[[float], Any], guess: float, n: float, share: float) -> float | None:
@@ -227,9 +229,7 @@ def _drawn(scene: Scene, setting: Setting, rng: np.random.Generator) -> Row:
     return outcome(np.concatenate(ratios), offenders, unseen=unseen, refused=refused)
 
 
-def _tolerance_for_levels(
-    patches: np.ndarray, look: Look, setting: Setting, rng: np.random.Generator
-) -> float | None:
+def _tolerance_for_levels(patches: np.ndarray, look: Look, setting: Setting, rng: np.random.Generator) -> float | None:
     """One with which the larger factors are about what the setting wants; None where factors are refused."""
     wanted = np.exp(rng.uniform(*np.log(setting.levels)))
     found = predicted(patches, look, setting, _GUESS)

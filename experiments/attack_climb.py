@@ -31,7 +31,7 @@ class Climbers(NamedTuple):
 def climb(family: str, setting: Setting, seed: int, rng: np.random.Generator) -> Row:
     """A few hundred steps of random ascent in one view.
 
-    The score of a net is what its ratio would be if its factor were just a whole number: error n^2/(tolerance factor^2).
+    The score of a net is what its ratio would be if its factor were a whole number: error n^2/(tolerance factor^2).
     Every step is judged like any other pair; in the end the tolerance is fitted to the best.
     """
     reliefs = 10.0 ** (rng.uniform(-1.0, 0.0) + rng.uniform(-0.3, 0.3, setting.patches))

@@ -92,10 +92,10 @@ if __name__ == "__main__":
     sys.exit(found > 1 + 4e-9)
 '''
 
-_CLAIMED_UNIFORM = '''claimed_factor = {factor}
+_CLAIMED_UNIFORM = """claimed_factor = {factor}
 more = {more}  # cells a side than ceil(factor)
-'''
-_UNIFORM = '''
+"""
+_UNIFORM = """
 def worst(claimed):
     factor = claimed_factor if claimed else float(predicted().factor[which])
     n = int(np.ceil(factor)) + more if factor > 0 else 5
@@ -105,11 +105,11 @@ def worst(claimed):
     corners = [(np.stack([i, j], axis=2) + np.array(shape)) / n for shape in shapes]
     lattice = [(a, b, 12 - a - b) for a in range(13) for b in range(13 - a)]
     return max(ratio(np.concatenate(corners), np.array(lattice) / 12), ratio([triangle], [share]) if claimed else 0)
-'''
-_CLAIMED_DRAWN = '''claimed_inner, claimed_edges = {levels}  # of that patch
+"""
+_CLAIMED_DRAWN = """claimed_inner, claimed_edges = {levels}  # of that patch
 edge_numbers = np.array({numbers})
-'''
-_DRAWN = '''
+"""
+_DRAWN = """
 def worst(claimed):
     if not claimed:
         found = predicted()
@@ -119,7 +119,7 @@ def worst(claimed):
             print("these are other levels than those that were claimed, of which the triangle is one")
             return 0.0
     return ratio([triangle], [share])
-'''
+"""
 
 
 def script(found: Row) -> str:

@@ -16,11 +16,6 @@ Task = tuple[Any, ...]
 _SPAWN = multiprocessing.get_context("spawn")
 
 
-class _Worker(NamedTuple):
-    process: Any
-    pipe: Connection
-
-
 def results(
     work: Callable[..., Any],
     prepare: Callable[[], None],
@@ -39,63 +34,93 @@ def results(
         while (task := next_task([])) is not None:
             yield task, work(*task)
         return
-    yield from _on_processes(work, prepare, next_task, workers)
-
-
-def _on_processes(work: Any, prepare: Any, next_task: Any, workers: int) -> Iterator[tuple[Task, Any]]:
-    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
-    free = [_started(work, prepare, cores[k : k + 1]) for k in range(workers)]
-    busy: dict[Connection, tuple[_Worker, Task, list[int]]] = {}
-    failed: dict[Task, int] = {}
-    again: list[Task] = []
+    crew = _Crew(work, prepare)
     try:
-        while True:
-            while free:
-                task = again.pop() if again else next_task([own for _, own, _ in busy.values()])
-                if task is None:
-                    break
-                worker = free.pop()
-                worker.pipe.send(task)
-                busy[worker.pipe] = (worker, task, cores)
-            if not busy:
-                return
-            for pipe in wait(list(busy)):
+        for k in range(workers):
+            crew.hire(_core(k))
+        yield from crew.results(next_task)
+    finally:
+        crew.dismiss()
+
+
+def _core(k: int) -> list[int]:
+    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
+    return [cores[k % len(cores)]] if cores else []
+
+
+class _Worker(NamedTuple):
+    process: Any
+    pipe: Connection
+    cores: list[int]
+
+
+class _Crew:
+    """Processes, those that are free and those that are at work, by their pipes."""
+
+    def __init__(self, work: Callable[..., Any], prepare: Callable[[], None]) -> None:
+        self.work, self.prepare = work, prepare
+        self.free: list[_Worker] = []
+        self.busy: dict[Connection, tuple[_Worker, Task]] = {}
+        self.again: list[Task] = []
+        self.failed: set[Task] = set()
+
+    def hire(self, cores: list[int]) -> None:
+        """Start a process."""
+        own, other = _SPAWN.Pipe()
+        process = _SPAWN.Process(target=_serve, args=(other, self.work, self.prepare, cores), daemon=True)
+        process.start()
+        other.close()
+        self.free.append(_Worker(process, own, cores))
+
+    def results(self, next_task: Callable[[list[Task]], Task | None]) -> Iterator[tuple[Task, Any]]:
+        """As they come; ends when nothing is left to do."""
+        while self._occupied(next_task):
+            for pipe in wait(list(self.busy)):
                 assert isinstance(pipe, Connection)
-                worker, task, _ = busy.pop(pipe)
+                worker, task = self.busy.pop(pipe)
                 try:
                     found = pipe.recv()
                 except (EOFError, ConnectionError):
-                    failed[task] = failed.get(task, 0) + 1
-                    _check_not_again(task, failed[task], worker)
-                    again.append(task)
-                    free.append(_started(work, prepare, cores[len(free) % max(1, len(cores)) :][:1]))
+                    self._replace(worker, task)
                     continue
-                free.append(worker)
+                self.free.append(worker)
                 if isinstance(found, Exception):
                     raise found
                 yield task, found
-    finally:
-        for worker in [*free, *(worker for worker, _, _ in busy.values())]:
+
+    def _occupied(self, next_task: Callable[[list[Task]], Task | None]) -> bool:
+        """Give work to whoever is free; whether anybody has some."""
+        while self.free:
+            task = self.again.pop() if self.again else next_task([own for _, own in self.busy.values()])
+            if task is None:
+                break
+            worker = self.free.pop()
+            try:
+                worker.pipe.send(task)
+            except ConnectionError:
+                self._replace(worker, task)
+                continue
+            self.busy[worker.pipe] = (worker, task)
+        return bool(self.busy)
+
+    def _replace(self, worker: _Worker, task: Task) -> None:
+        """Another process for one that died."""
+        worker.process.join(1.0)
+        if task in self.failed:
+            raise InputError(
+                f"the process for {task} died twice (exit code {worker.process.exitcode}): is there enough memory?"
+                " The same command goes on where it was"
+            )
+        self.failed.add(task)
+        self.again.append(task)
+        self.hire(worker.cores)
+
+    def dismiss(self) -> None:
+        """End all processes."""
+        for worker in [*self.free, *(worker for worker, _ in self.busy.values())]:
             worker.pipe.close()
             worker.process.terminate()
             worker.process.join()
-
-
-def _check_not_again(task: Task, times: int, worker: _Worker) -> None:
-    worker.process.join(1.0)
-    if times > 1:
-        raise InputError(
-            f"the process for {task} died twice (exit code {worker.process.exitcode}): is there enough memory?"
-            " The same command goes on where it was"
-        )
-
-
-def _started(work: Any, prepare: Any, cores: list[int]) -> _Worker:
-    own, other = _SPAWN.Pipe()
-    process = _SPAWN.Process(target=_serve, args=(other, work, prepare, cores), daemon=True)
-    process.start()
-    other.close()
-    return _Worker(process, own)
 
 
 def _serve(pipe: Connection, work: Any, prepare: Any, cores: list[int]) -> None:
