@@ -12,6 +12,7 @@ import numpy as np
 
 DEGREES = ((1, 1), (2, 2), (3, 3), (2, 3), (3, 1), (4, 4), (5, 2), (6, 6), (2, 8), (9, 9), (12, 1), (12, 12))
 WEIGHT_DECADES = 12.0
+_TAME = 0.7  # how often weights spread over half a decade only
 _SWAPS = 3  # points of a net that are moved onto others
 
 Net = np.ndarray  # (du+1, dv+1, 3)
@@ -120,13 +121,13 @@ def nets(family: str, rng: Rng, degrees: tuple[int, int], relief: np.ndarray) ->
     """A net for every relief, ``(n, du+1, dv+1, 3)``; 4 at the end of ``rational`` ones, (w x, w y, w z, w).
 
     Half of them are turned any way. Rational ones take their shapes from the other families; their weights spread over
-    up to one decade, or up to twelve.
+    up to half a decade, or of all of them over up to twelve.
     """
     names = rng.choice(list(SHAPES), len(relief)) if family == RATIONAL else [family] * len(relief)
     made = np.stack([_placed(SHAPES[name], rng, degrees, size) for name, size in zip(names, relief, strict=True)])
     if family != RATIONAL:
         return made
-    decades = rng.uniform(0.0, np.where(rng.uniform(size=len(made)) < 0.5, 1.0, WEIGHT_DECADES))
+    decades = rng.uniform(0.0, 0.5 if rng.uniform() < _TAME else WEIGHT_DECADES, len(made))
     weights = 10.0 ** (rng.uniform(-0.5, 0.5, made.shape[:3]) * decades[:, None, None])
     return np.concatenate([made * weights[..., None], weights[..., None]], axis=3)
 
