@@ -69,7 +69,7 @@ def scene_of(family: str, setting: Setting, seed: int, rng: Rng) -> Scene:
     """Patches and views of a batch; single precision is tried with flat nets too."""
     reliefs = 10.0 ** (rng.uniform(-1.5, 0.3) + rng.uniform(-0.4, 0.4, setting.patches))
     if setting.judged == "drawn":
-        reliefs *= 10.0 ** rng.uniform(-3.0, 0.0, setting.patches)
+        reliefs *= 10.0 ** (rng.uniform(-3.0, 0.0) * rng.uniform(0.0, 1.0, setting.patches))
     if setting.single and rng.integers(2):
         reliefs *= 10.0 ** rng.uniform(-5.0, 0.0)
     own = nets(family, rng, degrees_of(seed), reliefs)
@@ -88,7 +88,7 @@ def claimed(
     Returns None where factors are refused.
     """
     n = level_of(setting, rng) * (_MORE if rng.uniform() < _SELDOM and setting.judged != "drawn" else 1.0)
-    share = 0.9 if setting.judged == "drawn" else rng.uniform(0.4, 0.9)
+    share = rng.uniform(*setting.share)
     pixels, depth = _ANY, None
     if setting.depth:
         depth = tuned(lambda t: predicted(patches, look, setting.plain, _ANY, t), _DEPTH_GUESS, n, share)

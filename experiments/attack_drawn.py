@@ -11,7 +11,7 @@ from slefejax.gpu import Renderer
 from slefejax.tessellator import MOST_LEVEL, triangle_counts
 from slefejax.view import Camera, View
 
-_MOST = 400_000  # triangles of a view; patches beyond are left out, those with the most first
+_MOST = 200_000  # triangles of a view; patches beyond are left out, those with the most first
 
 
 def triangles(inner: np.ndarray, outer: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -48,8 +48,11 @@ def _quadratic(rng: Rng, du: int, dv: int, a: float, b: float, c: float) -> Net:
 
 
 def _saddle(rng: Rng, du: int, dv: int) -> Net:
+    """Half of them balanced: errors grow where a cell is made narrower one way."""
     a, b, c = rng.uniform(0.1, 1.0, 3)
-    return _quadratic(rng, du, dv, a, b * rng.integers(0, 2), -c)
+    if rng.integers(2):
+        b, c = a * rng.uniform(0.3, 0.6), a * rng.uniform(0.9, 1.1)
+    return _quadratic(rng, du, dv, a, b if rng.integers(4) else 0.0, -c)
 
 
 def _cylinder(rng: Rng, du: int, dv: int) -> Net:

@@ -25,7 +25,8 @@ class Setting:
     depth   : whether window depth is held to a tolerance too
     patches : of a batch
     most    : factors beyond are left out, since they only take time: another patch of the batch takes the place
-    levels  : uniform: what one of the patches in each view just needs; drawn: about the largest
+    levels  : what one of the patches in each view just needs
+    share   : which one: so many of the factors, 0 to 1, are below
     """
 
     name: str
@@ -36,6 +37,7 @@ class Setting:
     depth: bool = False
     patches: int = 32
     levels: tuple[float, float] = (2.0, 40.0)
+    share: tuple[float, float] = (0.4, 0.9)
     most: float = np.inf
 
     @property
@@ -54,7 +56,7 @@ class Setting:
         return jax.enable_x64(self.double)
 
 
-_DRAWN: dict[str, Any] = {"judged": "drawn", "levels": (4.0, 64.0), "most": 200.0}
+_DRAWN: dict[str, Any] = {"judged": "drawn", "levels": (4.0, 64.0), "share": (0.8, 1.0), "most": 200.0}
 _PROVED: dict[str, Any] = {"levels": (2.0, 12.0), "most": 32.0}
 SETTINGS = {
     setting.name: setting
@@ -72,7 +74,7 @@ SETTINGS = {
         Setting("drawn-anisotropic", {"tiles": 1, "anisotropic": True}, patches=16, **_DRAWN),
         Setting("drawn-verify", {"tiles": 1, "verify": True}, "drawn", patches=16, **_PROVED),
         Setting("drawn-float32", {"tiles": 1}, dtype=np.float32, **_DRAWN),
-        Setting("drawn-past-64", {"tiles": 1}, "drawn", patches=12, levels=(50.0, 130.0), most=300.0),
+        Setting("drawn-past-64", {"tiles": 1}, "drawn", patches=12, levels=(57.0, 64.0), share=(0.5, 0.9), most=200.0),
     )
 }
 
