@@ -106,7 +106,7 @@ class Attack:
             busy = {batch[1] for batch in under_way}
             return ahead.pop(next((k for k, batch in enumerate(ahead) if batch[1] not in busy), 0))
 
-        prepare = partial(start_jax, jax.config.jax_enable_compilation_cache)
+        prepare = partial(start_jax, jax.config.values["jax_enable_compilation_cache"])
         for batch, outcome in results(attack, prepare, next_batch, self.workers or cores()):
             found[batch] = dict(zip(("family", "setting", "seed"), batch, strict=True)) | outcome
             violations = sum(row["violations"] for row in found.values())

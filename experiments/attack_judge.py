@@ -77,7 +77,8 @@ class Screen(NamedTuple):
     @staticmethod
     def joined(parts: list[Screen]) -> Screen:
         """The pairs of several views."""
-        return Screen(*(np.concatenate(x) for x in zip(*(p[:2] for p in parts), strict=True)), parts[0].compared)
+        rows, half = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
+        return Screen(rows, half, parts[0].compared)
 
     def only(self, chosen: Any) -> Screen:
         """Some of the pairs."""
@@ -395,7 +396,7 @@ def _with_all_digits(
     parts = _exact(np.maximum((1 - inwards) * share + inwards / 3, 0.0))
     parts = parts / sum(parts)
     corners = [_point(rows, *_exact(corner)) for corner in triangle]
-    drawn = sum(part * corner for part, corner in zip(parts, corners, strict=True))
+    drawn = parts @ np.stack(corners)
     exact = _point(rows, *(parts @ _exact(triangle)))
     half = half / scale
     if not drawn[3] > 0 or any(abs(drawn[k]) > half[k] * drawn[3] for k in range(3)):

@@ -120,17 +120,19 @@ RATIONAL = "rational"
 FAMILIES = (*SHAPES, RATIONAL)
 
 
-def nets(family: str, rng: Rng, degrees: tuple[int, int], relief: np.ndarray) -> np.ndarray:
+def nets(
+    family: str, rng: Rng, degrees: tuple[int, int], relief: np.ndarray, weight_decades: float = WEIGHT_DECADES
+) -> np.ndarray:
     """A net for every relief, ``(n, du+1, dv+1, 3)``; 4 at the end of ``rational`` ones, (w x, w y, w z, w).
 
     Half of them are turned any way. Rational ones take their shapes from the other families; their weights spread over
-    up to half a decade, or of all of them over up to twelve.
+    up to half a decade, or of all of them over up to so many.
     """
     names = rng.choice(list(SHAPES), len(relief)) if family == RATIONAL else [family] * len(relief)
     made = np.stack([_placed(SHAPES[name], rng, degrees, size) for name, size in zip(names, relief, strict=True)])
     if family != RATIONAL:
         return made
-    decades = rng.uniform(0.0, 0.5 if rng.uniform() < _TAME else WEIGHT_DECADES, len(made))
+    decades = rng.uniform(0.0, 0.5 if rng.uniform() < _TAME else weight_decades, len(made))
     weights = 10.0 ** (rng.uniform(-0.5, 0.5, made.shape[:3]) * decades[:, None, None])
     return np.concatenate([made * weights[..., None], weights[..., None]], axis=3)
 
