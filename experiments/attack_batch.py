@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from slefejax.experiments.attack_claims import Claim, Rng, Scene, claimed, rng_of, scene_of
+from slefejax.experiments.attack_claims import Claim, Rng, Scene, claim_of, claimed, rng_of, scene_of
 from slefejax.experiments.attack_drawn import judged_levels
 from slefejax.experiments.attack_judge import ALLOWANCE, Found, Screen, judge_uniform, settled
 from slefejax.experiments.attack_settings import SETTINGS, Setting
@@ -117,13 +117,30 @@ def _drawn(scene: Scene, setting: Setting, rng: Rng) -> Row:
         ratio, broken = decided(claim, judged)
         claims.append(claim)
         ratios.append(ratio)
-        levels = {"inner": claim.found.inner.tolist(), "edges": claim.found.edges.tolist()}
-        for k in broken[:MOST_OFFENDERS]:
-            own = offender(claim, judged, k, float(ratio[k]))
-            own["patches"] = claim.patches.astype(np.float64).tolist()
-            offenders.append({**own, "which": k, "edge_numbers": numbers.tolist(), **levels})
+        for k in broken[: MOST_OFFENDERS - len(offenders)]:
+            own = _drawn_offender(claim, numbers, judged, k, float(ratio[k]))
+            offenders.append(_with_neighbours_only(claim, numbers, k, setting) or own)
     refused = count * (len(scene.looks) - len(claims))
-    return outcome(claims, ratios, offenders[:MOST_OFFENDERS], refused=refused)
+    return outcome(claims, ratios, offenders, refused=refused)
+
+
+def _with_neighbours_only(claim: Claim, numbers: np.ndarray, k: int, setting: Setting) -> Row | None:
+    """The offender among its neighbours alone, if it is one there."""
+    own = np.append(k, np.setdiff1d(np.flatnonzero(np.isin(numbers, numbers[k]).any(axis=1)), k))
+    few = np.unique(numbers[own], return_inverse=True)[1].reshape(-1, 4)
+    smaller = claim_of(claim.patches[own], claim.own[own], claim.look, setting, claim.tolerances, few)
+    if smaller is None:
+        return None
+    judged, _ = judged_levels(smaller.screen(), smaller.found.inner, smaller.found.edges)
+    ratio, broken = decided(smaller, judged)
+    return _drawn_offender(smaller, few, judged, 0, float(ratio[0])) if 0 in broken else None
+
+
+def _drawn_offender(claim: Claim, numbers: np.ndarray, judged: Found, k: int, ratio: float) -> Row:
+    """All patches of the scene: neighbours have a say in levels."""
+    scene = {"patches": claim.patches.astype(np.float64).tolist(), "which": k, "edge_numbers": numbers.tolist()}
+    levels = {"inner": claim.found.inner.tolist(), "edges": claim.found.edges.tolist()}
+    return {**offender(claim, judged, k, ratio), **scene, **levels}
 
 
 def outcome(
