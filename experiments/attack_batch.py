@@ -18,7 +18,6 @@ from slefejax.experiments.store import Row
 MOST_OFFENDERS = 3  # of a batch that are kept with all their numbers
 _WORST = 1e300  # stands for an infinite ratio, which JSON does not have
 _UNSEEN_CUT = 5  # cells a side, where the factor says that nothing is seen
-_CLAIMS = 3  # with different tolerances, of every view
 _EXTRA = (0, 0, 0, 1, 2, 3)  # more cells a side than the factor asks for
 _COMPARED = (8, 64)  # factors that are compared with minimal ones, one of every claim
 
@@ -39,7 +38,9 @@ def attack(family: str, setting: str, seed: int) -> Row:
 
 
 def _uniform(scene: Scene, setting: Setting, rng: Rng) -> Row:
-    answers = [claimed(scene.patches, look, setting, rng) for look in scene.looks.values() for _ in range(_CLAIMS)]
+    answers = [
+        claimed(scene.patches, look, setting, rng) for look in scene.looks.values() for _ in range(setting.claims)
+    ]
     claims = [claim for claim in answers if claim is not None]
     refused = len(scene.patches) * (len(answers) - len(claims))
     if not claims:

@@ -96,7 +96,8 @@ def claimed(
         pixels = tuned(lambda t: predicted(patches, look, setting.plain, t, depth and _ANY), _GUESS, n, share)
     if pixels is None or (setting.depth and depth is None):
         return None
-    return claim_of(*affordable(patches, look, setting, pixels, depth), look, setting, (pixels, depth), edge_numbers)
+    chosen, own, tolerances = affordable(patches, look, setting, (pixels, depth))
+    return claim_of(chosen, own, look, setting, tolerances, edge_numbers)
 
 
 def level_of(setting: Setting, rng: Rng) -> float:
@@ -118,17 +119,23 @@ def claim_of(
 
 
 def affordable(
-    patches: np.ndarray, look: Look, setting: Setting, tolerance: float, depth_tolerance: float | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Patches, others in the place of those whose factors take too much time, and which ones are there themselves."""
+    patches: np.ndarray, look: Look, setting: Setting, tolerances: tuple[float, float | None]
+) -> tuple[np.ndarray, np.ndarray, tuple[float, float | None]]:
+    """Patches, others in the place of those whose factors take too much time, which are there themselves, tolerances.
+
+    These are raised where not even one patch would stay.
+    """
     own = np.ones(len(patches), bool)
-    found = predicted(patches, look, setting.plain, tolerance, depth_tolerance) if np.isfinite(setting.most) else None
+    found = predicted(patches, look, setting.plain, *tolerances) if np.isfinite(setting.most) else None
     if found is None:
-        return patches, own
+        return patches, own, tolerances
     factor = np.asarray(found.factor, np.float64)
-    own = factor <= max(setting.most, float(factor.min()))
+    excess = max(1.0, float(factor.min()) / setting.most)
+    pixels, depth = (None if t is None else t * excess**2 for t in tolerances)
+    own = factor <= setting.most * excess
     few = np.flatnonzero(own)
-    return patches[np.where(own, np.arange(len(own)), few[np.arange(len(own)) % len(few)])], own
+    chosen = np.where(own, np.arange(len(own)), few[np.arange(len(own)) % len(few)])
+    return patches[chosen], own, (pixels or _ANY, depth)
 
 
 def tuned(ask: Ask, guess: float, n: float, share: float) -> float | None:
