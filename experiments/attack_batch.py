@@ -107,11 +107,12 @@ def _over_minimal(claims: list[Claim], rng: Rng) -> list[float]:
 
 def _drawn(scene: Scene, setting: Setting, rng: Rng) -> Row:
     """Every side is shared with one of some other patch, whose factor is any."""
-    claims, ratios, offenders, count = [], [], [], len(scene.patches)
+    claims, ratios, offenders, refused, count = [], [], [], 0, len(scene.patches)
     for look in scene.looks.values():
         numbers = rng.permutation(4 * count).reshape(count, 4) // 2
         claim = claimed(scene.patches, look, setting, rng, numbers)
-        if claim is None:
+        if claim is None or not claim.own.any():
+            refused += count * (claim is None)
             continue
         judged, drawn = judged_levels(claim.screen(), claim.found.inner, claim.found.edges)
         claim = claim._replace(own=claim.own & drawn)
@@ -121,7 +122,6 @@ def _drawn(scene: Scene, setting: Setting, rng: Rng) -> Row:
         for k in broken[: MOST_OFFENDERS - len(offenders)]:
             own = _drawn_offender(claim, numbers, judged, k, float(ratio[k]))
             offenders.append(_with_neighbours_only(claim, numbers, k, setting) or own)
-    refused = count * (len(scene.looks) - len(claims))
     return outcome(claims, ratios, offenders, refused=refused)
 
 

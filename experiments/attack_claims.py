@@ -96,8 +96,10 @@ def claimed(
         pixels = tuned(lambda t: predicted(patches, look, setting.plain, t, depth and _ANY), _GUESS, n, share)
     if pixels is None or (setting.depth and depth is None):
         return None
-    chosen, own, tolerances = affordable(patches, look, setting, (pixels, depth))
-    return claim_of(chosen, own, look, setting, tolerances, edge_numbers)
+    chosen, own = affordable(patches, look, setting, (pixels, depth))
+    if not own.any():
+        return claim_of(chosen, own, look, setting.plain, (pixels, depth))
+    return claim_of(chosen, own, look, setting, (pixels, depth), edge_numbers)
 
 
 def level_of(setting: Setting, rng: Rng) -> float:
@@ -120,22 +122,20 @@ def claim_of(
 
 def affordable(
     patches: np.ndarray, look: Look, setting: Setting, tolerances: tuple[float, float | None]
-) -> tuple[np.ndarray, np.ndarray, tuple[float, float | None]]:
-    """Patches, others in the place of those whose factors take too much time, which are there themselves, tolerances.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Patches, others in the place of those whose factors take too much time, and which are there themselves.
 
-    These are raised where not even one patch would stay.
+    None are where all would take too much: beside the eye no tolerance makes factors small.
     """
     own = np.ones(len(patches), bool)
     found = predicted(patches, look, setting.plain, *tolerances) if np.isfinite(setting.most) else None
     if found is None:
-        return patches, own, tolerances
-    factor = np.asarray(found.factor, np.float64)
-    excess = max(1.0, float(factor.min()) / setting.most)
-    pixels, depth = (None if t is None else t * excess**2 for t in tolerances)
-    own = factor <= setting.most * excess
+        return patches, own
+    own = np.asarray(found.factor, np.float64) <= setting.most
     few = np.flatnonzero(own)
-    chosen = np.where(own, np.arange(len(own)), few[np.arange(len(own)) % len(few)])
-    return patches[chosen], own, (pixels or _ANY, depth)
+    if not few.size:
+        return patches, own
+    return patches[np.where(own, np.arange(len(own)), few[np.arange(len(own)) % len(few)])], own
 
 
 def tuned(ask: Ask, guess: float, n: float, share: float) -> float | None:
