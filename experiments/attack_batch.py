@@ -82,7 +82,7 @@ def decided(claim: Claim, found: Found) -> tuple[np.ndarray, list[int]]:
     """
     seen, factor = found.ratio >= 0, claim.factor
     ratio = np.where(seen, found.ratio, 0.0)
-    for k in np.flatnonzero(np.isfinite(ratio) & (ratio > 1.0 + ALLOWANCE)):
+    for k in np.flatnonzero(np.isfinite(ratio) & (ratio > 1.0)):
         ratio[k] = settled(claim.patches[k], claim.look, claim.tolerances, found.triangle[k], found.share[k])
     ratio = np.where(~np.isfinite(factor) | (seen & (factor == 0)), np.inf, ratio)
     return ratio, np.flatnonzero((ratio > 1.0 + ALLOWANCE) & claim.own).tolist()

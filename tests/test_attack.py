@@ -104,6 +104,14 @@ def test_with_the_rounding_term_it_holds():
     assert attack("cylinder", "float32", 72)["violations"] == 0
 
 
+@pytest.mark.gl
+@pytest.mark.slow
+@pytest.mark.parametrize("setting", sorted({*SETTINGS} - {"x64-off", "drawn-past-64"}))
+def test_ways_to_ask_hold(device, setting):
+    for family in ("saddle", "random", "rational"):
+        assert attack(family, setting, 2)["violations"] == 0
+
+
 def test_tolerances_leave_no_slack():
     """One of the patches needs just a whole number of cells."""
     setting, rng = SETTINGS["tiles-1"], rng_of("saddle", "tiles-1", 1)
