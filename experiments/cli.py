@@ -46,7 +46,7 @@ def _run(arguments: list[str] | None) -> int:
         config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitSubcommandPrefixes),
     )
     try:
-        _start_jax(keep=NO_CACHE not in given)
+        start_jax(keep=NO_CACHE not in given)
         report: Any = command.run()
     except (InputError, NoOpenGLError) as error:
         return _fail(str(error))
@@ -59,7 +59,7 @@ def _run(arguments: list[str] | None) -> int:
     return _show(report)
 
 
-def _start_jax(keep: bool) -> None:
+def start_jax(keep: bool) -> None:
     """float64, a device to compute on, and a folder for compiled programs, unless they are not to be kept.
 
     Raises InputError if the device that was asked for is not there.

@@ -23,6 +23,7 @@ COMMANDS = {
     "scaling": "Scaling",
     "tightness": "Tightness",
     "stability": "Stability",
+    "attack": "Attack",
     "bench": "Bench",
     "doctor": "Doctor",
 }

@@ -1,0 +1,415 @@
+"""The judge of ``slefejax attack``: how far a drawn point lies from where it belongs, over the tolerance.
+
+It shares nothing with the prediction, nor with what the package measures by: its own camera, evaluation and visibility,
+in NumPy. Samples are compared in double precision; places whose ratio comes near 1, or that double precision cannot
+tell, are looked at again in long double; what still exceeds 1 is decided with 60 digits (``settled``).
+
+A row of the screen is undivided and over its tolerance: X/W is the distance from the picture's centre in tolerances, so
+that the *ratio* of an error to what is allowed is the largest |X/W - X_lin/W_lin|. The drawn point counts where it lies
+in the view volume; an exact W <= 0 there is an infinite ratio.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import product
+from math import comb
+from typing import Any, NamedTuple
+
+import mpmath
+import numpy as np
+
+ALLOWANCE = 4e-9  # a ratio of at most 1 + this is not held against anyone
+NEAR = 0.9  # ratios from which on double precision is not enough
+_UNSEEN = -1.0
+_FINEST = 24  # samples along each side of a patch, at least
+_MOST_LINES = 96  # cells along u and v that are looked at; of finer grids so many are drawn by lot
+_BLOCK = 2**17  # samples at once
+_KEPT = 3  # places of a pair that are looked at more closely
+_ZOOMS, _FINE_ZOOMS = 5, 12
+_TERMS = 64.0  # rounding errors of a ratio, in units of the last place of its terms
+_LONG_TRIANGLE = 1 / 6  # of the domain; sampled more densely
+_MP: Any = mpmath.MPContext()  # its own, so that nobody else's digits change
+_MP.dps = 60
+_PI = "3.14159265358979323846264338327950288419716939937510582097494459"
+
+
+class Look(NamedTuple):
+    """A camera and its picture, as plain numbers; what they mean is OpenGL's (``slefejax.view`` says it too)."""
+
+    eye: tuple[float, float, float]
+    target: tuple[float, float, float]
+    up: tuple[float, float, float]
+    extent: float  # vertical field of view in degrees, or the picture's height in scene units
+    near: float
+    far: float
+    perspective: bool
+    width: int
+    height: int
+
+
+class Screen(NamedTuple):
+    """Patches as seen, one a pair of patch and view.
+
+    rows : ``(pairs, du+1, dv+1, 4)`` long double: X, Y, Z over their tolerances, from the picture's centre and half
+           the depth, and W
+    half : ``(pairs, 3)`` long double: the picture's half width, half height and half depth over the tolerances
+    compared : 2, or 3 where depth is held to a tolerance too
+    """
+
+    rows: np.ndarray
+    half: np.ndarray
+    compared: int
+
+    @staticmethod
+    def of(patches: np.ndarray, look: Look, tolerance: float, depth_tolerance: float | None = None) -> Screen:
+        """Of patches ``(patches, du+1, dv+1, 3)``, or 4 at the end if rational, each number taken as exact."""
+        matrix, half = _camera(look, _long, np.tan)
+        scale = _long([tolerance, tolerance, 1.0 if depth_tolerance is None else depth_tolerance])
+        points = _long(patches)
+        weight = points[..., 3:] if patches.shape[3] == 4 else np.ones_like(points[..., :1])
+        beside = points[..., :3] - weight * _long(look.eye)
+        rows = np.concatenate([beside, weight], axis=3) @ matrix.T
+        rows[..., :3] /= scale
+        half = np.broadcast_to(half / scale, (len(patches), 3))
+        return Screen(rows, half, 2 if depth_tolerance is None else 3)
+
+    @staticmethod
+    def joined(parts: list[Screen]) -> Screen:
+        """The pairs of several views."""
+        rows, half = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
+        return Screen(rows, half, parts[0].compared)
+
+    def only(self, chosen: Any) -> Screen:
+        """Some of the pairs."""
+        return Screen(self.rows[chosen], self.half[chosen], self.compared)
+
+
+class Found(NamedTuple):
+    """The largest ratio of every pair, and where: -1 where nothing is seen.
+
+    triangle : ``(pairs, 3, 2)``, parameters of the corners of the domain triangle
+    share    : ``(pairs, 3)``, barycentric coordinates in it
+    """
+
+    ratio: np.ndarray
+    triangle: np.ndarray
+    share: np.ndarray
+
+
+def judge_uniform(screen: Screen, cuts: np.ndarray, seed: int = 0) -> Found:
+    """Pairs cut into ``cuts`` = ``(pairs, 2)`` equal cells along u and v, the worse diagonal of each cell.
+
+    Of grids with more than 96 cells a side so many rows and columns are looked at, drawn by the seed.
+    """
+    places = []
+    rng = np.random.default_rng(seed)
+    for cut in np.unique(cuts, axis=0):
+        own = np.flatnonzero(np.all(cuts == cut, axis=1))
+        lines = [_lines(int(n), rng) for n in cut]
+        order = 2 * int(np.ceil(_FINEST / (2 * min(_FINEST / 2, cut.min()))))
+        step = max(1, _BLOCK // (len(lines[0]) * len(lines[1]) * len(_samples(order))))
+        for at in range(0, len(own), step):
+            block = own[at : at + step]
+            places.append(_worst_of_cells(screen.only(block), block, (int(cut[0]), int(cut[1])), lines, order))
+    return _closer(screen, _Places.joined(places))
+
+
+def judge_triangles(screen: Screen, pair: np.ndarray, parameters: np.ndarray) -> Found:
+    """Given domain triangles ``(triangles, 3, 2)`` of the pairs ``(triangles,)``."""
+    places = []
+    long = np.ptp(parameters, axis=1).max(axis=1, initial=0.0) > _LONG_TRIANGLE
+    order = np.argsort(pair, kind="stable")
+    starts = np.searchsorted(pair[order], np.arange(len(screen.rows) + 1))
+    for k in range(len(screen.rows)):
+        own = order[starts[k] : starts[k + 1]]
+        for lattice, chosen in ((_shares(12), own[long[own]]), (_COARSE, own[~long[own]])):
+            for at in range(0, len(chosen), max(1, _BLOCK // len(lattice))):
+                block = chosen[at : at + max(1, _BLOCK // len(lattice))]
+                places.append(_worst_of_triangles(screen, k, parameters[block], lattice))
+    return _closer(screen, _Places.joined(places))
+
+
+def settled(
+    patch: np.ndarray,
+    look: Look,
+    tolerances: tuple[float, float | None],
+    triangle: np.ndarray,
+    share: np.ndarray,
+) -> float:
+    """The ratio at a place of one triangle with 60 digits, or a hair further inside of it where it is not seen."""
+    return max(
+        _with_all_digits(patch, look, tolerances, triangle, share, inwards) for inwards in (0.0, 1e-15, 1e-12, 1e-9)
+    )
+
+
+def _long(values: Any) -> np.ndarray:
+    return np.asarray(values).astype(np.longdouble)
+
+
+def _exact(values: Any) -> np.ndarray:
+    array = np.asarray(values)
+    return np.array([_MP.mpf(float(x)) for x in array.ravel()], object).reshape(array.shape)
+
+
+def _camera(look: Look, exact: Any, tan: Any) -> tuple[np.ndarray, np.ndarray]:
+    """(matrix, half): from points relative to the eye to rows in pixels, window depth and W; half the picture.
+
+    exact, tan : what makes numbers of the precision that is wanted, and their tangent
+    """
+    digits = exact is _exact
+    eye, target, up = exact(look.eye), exact(look.target), exact(look.up)
+    near, far, extent, width, height = exact([look.near, look.far, look.extent, look.width, look.height])
+    zero, one = exact([0, 1])
+    pi = _MP.mpf(_PI) if digits else np.longdouble(_PI)
+    forward = _unit(target - eye)
+    right = _unit(np.cross(forward, up))
+    rotation = np.stack([right, np.cross(right, forward), -forward])
+    if look.perspective:
+        pixels = height / 2 / tan(extent * pi / 360)
+        depth, last = [(far + near) / (near - far) / 2, far * near / (near - far)], [zero, zero, -one, zero]
+    else:
+        pixels = height / extent
+        depth, last = [one / (near - far), (far + near) / (near - far) / 2], [zero, zero, zero, one]
+    lens = np.array([[pixels, zero, zero, zero], [zero, pixels, zero, zero], [zero, zero, *depth], last])
+    motion = np.vstack([np.column_stack([rotation, [zero] * 3]), [[zero, zero, zero, one]]])
+    return lens @ motion, np.array([width / 2, height / 2, one / 2])
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    square = vector @ vector
+    return vector / (_MP.sqrt(square) if vector.dtype == object else np.sqrt(square))
+
+
+class _Places(NamedTuple):
+    """Samples with large ratios: of which pair, where."""
+
+    pair: np.ndarray
+    ratio: np.ndarray
+    triangle: np.ndarray
+    share: np.ndarray
+
+    @staticmethod
+    def joined(parts: list[_Places]) -> _Places:
+        """All of them that are seen."""
+        none = _Places(np.zeros(0, int), np.zeros(0), np.zeros((0, 3, 2)), np.zeros((0, 3)))
+        whole = _Places(*(np.concatenate(x) for x in zip(none, *parts, strict=True)))
+        return whole.only(whole.ratio >= 0)
+
+    def only(self, chosen: np.ndarray) -> _Places:
+        """Some of them."""
+        return _Places(*(x[chosen] for x in self))
+
+
+def _lines(n: int, rng: np.random.Generator) -> np.ndarray:
+    """Which rows of cells are looked at: the outermost always."""
+    if n <= _MOST_LINES:
+        return np.arange(n)
+    return np.unique(np.append(rng.integers(1, n - 1, _MOST_LINES - 2), [0, n - 1]))
+
+
+class _Sample(NamedTuple):
+    """A place of the unit cell: lattice indices, the corners of a triangle that it lies in, its shares there."""
+
+    at: tuple[int, int]
+    corners: tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
+    share: tuple[float, float, float]
+
+
+@cache
+def _samples(order: int) -> tuple[_Sample, ...]:
+    """Places of a lattice in a cell, on its sides once and inside of it for both diagonals; not its corners."""
+    found = []
+    for i, j in product(range(order + 1), repeat=2):
+        a, b = i / order, j / order
+        if (i in (0, order)) and (j in (0, order)):
+            continue
+        rising = ((0, 0), (1, 0), (1, 1)), (1 - a, a - b, b)
+        if a < b:
+            rising = ((0, 0), (0, 1), (1, 1)), (1 - b, b - a, a)
+        falling = ((0, 0), (1, 0), (0, 1)), (1 - a - b, a, b)
+        if a + b > 1:
+            falling = ((1, 1), (0, 1), (1, 0)), (a + b - 1, 1 - a, 1 - b)
+        inside = 0 < i < order and 0 < j < order
+        found += [_Sample((i, j), *way) for way in ((rising, falling) if inside else (rising,))]
+    return tuple(found)
+
+
+@cache
+def _shares(order: int) -> np.ndarray:
+    """Barycentric coordinates of a lattice in a triangle."""
+    places = [(i, j, order - i - j) for i in range(order + 1) for j in range(order + 1 - i)]
+    return np.array(places, np.float64) / order
+
+
+_COARSE = np.array([[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5], [1 / 3, 1 / 3, 1 / 3]])
+_CLOSE = _shares(4)
+
+
+def _bernstein(degree: int, t: np.ndarray) -> np.ndarray:
+    """b_0 ... b_degree along a new last axis."""
+    t = t[..., None]
+    k = np.arange(degree + 1)
+    return np.array([comb(degree, int(j)) for j in k]).astype(t.dtype) * t**k * (1 - t) ** (degree - k)
+
+
+def _evaluated(rows: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Rows ``(n, places, 4)`` of ``(n, du+1, dv+1, 4)`` at u and v ``(n, places)``."""
+    count, nu, nv, _ = rows.shape
+    along = np.matmul(_bernstein(nu - 1, u), rows.reshape(count, nu, nv * 4)).reshape(count, -1, nv, 4)
+    return np.sum(_bernstein(nv - 1, v)[..., None] * along, axis=2)
+
+
+def _ratio(exact: Any, drawn: Any, half: Any, compared: int) -> np.ndarray:
+    """The ratio of samples; both are four rows, half is three."""
+    w = drawn[3]
+    seen = w > 0
+    for row, extent in zip(drawn, half, strict=False):
+        seen = seen & (np.abs(row) <= extent * w)
+    ahead = exact[3] > 0
+    w, true_w = np.where(seen, w, 1), np.where(ahead, exact[3], 1)
+    worst = np.zeros(w.shape, w.dtype)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for true, row in zip(exact[:compared], drawn, strict=False):
+            worst = np.fmax(worst, np.abs(true / true_w - row / w))
+    return np.where(seen, np.where(ahead, worst, np.inf), _UNSEEN)
+
+
+def _worst_of_cells(
+    screen: Screen, pair: np.ndarray, cut: tuple[int, int], lines: list[np.ndarray], order: int
+) -> _Places:
+    """The largest samples of each pair on some rows and columns of cells."""
+    samples = _samples(order)
+    rows = np.moveaxis(screen.rows.astype(np.float64), 3, 0)
+    steps = np.arange(order + 1) / order
+    places = [((line[:, None] + steps) / n).ravel() for line, n in zip(lines, cut, strict=True)]
+    by_u, by_v = (_bernstein(rows.shape[2 + axis] - 1, t) for axis, t in enumerate(places))
+    points = np.matmul(np.matmul(by_u, rows), by_v.T)
+    points = points.reshape(4, len(pair), len(lines[0]), order + 1, len(lines[1]), order + 1).swapaxes(3, 4)
+    corners = points[..., ::order, ::order].reshape(*points.shape[:4], 4)
+    weights = np.zeros((4, len(samples)))
+    for k, sample in enumerate(samples):
+        for (a, b), share in zip(sample.corners, sample.share, strict=True):
+            weights[2 * a + b, k] += share
+    i, j = np.array([sample.at for sample in samples]).T
+    half = screen.half.astype(np.float64).T[:, :, None, None, None]
+    ratio = _ratio(points[..., i, j], corners @ weights, half, screen.compared).reshape(len(pair), -1)
+    best = np.argpartition(-ratio, min(_KEPT, ratio.shape[1] - 1), axis=1)[:, :_KEPT]
+    cell, which = np.divmod(best, len(samples))
+    i, j = np.divmod(cell, len(lines[1]))
+    offsets = np.array([sample.corners for sample in samples])[which]
+    low = np.stack([lines[0][i], lines[1][j]], axis=-1)[:, :, None]
+    triangle = (low + offsets) / np.array(cut)
+    share = np.array([sample.share for sample in samples])[which]
+    value = np.take_along_axis(ratio, best, axis=1)
+    kept = best.shape[1]
+    return _Places(np.repeat(pair, kept), value.ravel(), triangle.reshape(-1, 3, 2), share.reshape(-1, 3))
+
+
+def _worst_of_triangles(screen: Screen, pair: int, parameters: np.ndarray, lattice: np.ndarray) -> _Places:
+    """The largest samples of one pair."""
+    shares = np.concatenate([np.eye(3), lattice])
+    where = np.einsum("sk,tkc->cts", shares, parameters)
+    rows = screen.rows[pair : pair + 1].astype(np.float64)
+    points = _evaluated(rows, where[0].reshape(1, -1), where[1].reshape(1, -1)).reshape(*where.shape[1:], 4)
+    points = np.moveaxis(points, 2, 0)
+    half = screen.half[pair].astype(np.float64)
+    ratio = _ratio(points[..., 3:], points[..., :3] @ lattice.T, half, screen.compared).ravel()
+    best = np.argpartition(-ratio, min(_KEPT, len(ratio) - 1))[:_KEPT]
+    which, place = np.divmod(best, len(lattice))
+    return _Places(np.full(len(best), pair), ratio[best], parameters[which], lattice[place])
+
+
+def _closer(screen: Screen, places: _Places) -> Found:
+    """The largest ratio of each pair: every place is zoomed into, those near 1 in long double."""
+    sizes = np.abs(screen.rows).max(axis=(1, 2), initial=0).astype(np.float64)
+    step = max(1, 2**21 // (len(_CLOSE) * screen.rows[0].size))
+    blocks = []
+    for at in range(0, len(places.pair), step):
+        block = places.only(np.arange(at, min(at + step, len(places.pair))))
+        block = _zoomed(screen, block, np.float64, 0.5, _ZOOMS)
+        near = block.ratio + _noise(screen, block, sizes) > NEAR
+        fine = _zoomed(screen, block.only(near), np.longdouble, 0.1, _FINE_ZOOMS)
+        block.ratio[near], block.share[near] = fine.ratio, fine.share
+        blocks.append(block)
+    whole = _Places.joined(blocks)
+    whole = whole.only(np.lexsort((whole.ratio, whole.pair)))
+    last = np.flatnonzero(np.append(whole.pair[1:] != whole.pair[:-1], True)[: len(whole.pair)])
+    count = len(screen.rows)
+    found = Found(np.full(count, _UNSEEN), np.zeros((count, 3, 2)), np.full((count, 3), 1 / 3))
+    for all_pairs, best in zip(found, whole.only(last)[1:], strict=True):
+        all_pairs[whole.pair[last]] = best
+    return found
+
+
+def _zoomed(screen: Screen, places: _Places, dtype: Any, size: float, zooms: int) -> _Places:
+    """The largest samples of ever smaller triangles around each place."""
+    if not len(places.pair):
+        return places
+    rows, half = screen.rows[places.pair].astype(dtype), screen.half[places.pair].astype(dtype).T[..., None]
+    triangle, share = places.triangle.astype(dtype), places.share.astype(dtype)
+    ends = _evaluated(rows, triangle[..., 0], triangle[..., 1])
+
+    def sampled(trial: np.ndarray) -> np.ndarray:
+        where = np.matmul(trial, triangle)
+        points, drawn = _evaluated(rows, where[..., 0], where[..., 1]), np.matmul(trial, ends)
+        return _ratio(np.moveaxis(points, 2, 0), np.moveaxis(drawn, 2, 0), half, screen.compared)
+
+    ratio = sampled(share[:, None])[:, 0]
+    for _ in range(zooms):
+        trial = (1 - size) * share[:, None] + size * _CLOSE.astype(dtype)
+        values = sampled(trial)
+        best = np.argmax(values, axis=1)
+        value = values[np.arange(len(best)), best]
+        better = value > ratio
+        share = np.where(better[:, None], trial[np.arange(len(best)), best], share)
+        ratio = np.where(better, value, ratio)
+        size *= 0.5
+    return _Places(places.pair, ratio.astype(np.float64), places.triangle, share.astype(np.float64))
+
+
+def _noise(screen: Screen, places: _Places, sizes: np.ndarray) -> np.ndarray:
+    """What rounding in double precision may make of the ratio at these places."""
+    half = screen.half[places.pair, : screen.compared].astype(np.float64)
+    terms = np.max(sizes[places.pair, : screen.compared] + half * sizes[places.pair, 3:], axis=1)
+    rows = screen.rows[places.pair].astype(np.float64)
+    ends = _evaluated(rows, places.triangle[..., 0], places.triangle[..., 1])
+    w = np.maximum(np.sum(places.share * ends[..., 3], axis=1), 1e-300)
+    return _TERMS * float(np.finfo(np.float64).eps) * terms / w
+
+
+def _with_all_digits(
+    patch: np.ndarray,
+    look: Look,
+    tolerances: tuple[float, float | None],
+    triangle: np.ndarray,
+    share: np.ndarray,
+    inwards: float,
+) -> float:
+    matrix, half = _camera(look, _exact, _MP.tan)
+    pixels, depth = tolerances
+    scale = _exact([pixels, pixels, 1.0 if depth is None else depth])
+    points = _exact(patch)
+    weight = points[..., 3:] if patch.shape[2] == 4 else _exact(np.ones((*patch.shape[:2], 1)))
+    rows = np.concatenate([points[..., :3] - weight * _exact(look.eye), weight], axis=2) @ matrix.T
+    rows[..., :3] = rows[..., :3] / scale
+    parts = _exact(np.maximum((1 - inwards) * share + inwards / 3, 0.0))
+    parts = parts / sum(parts)
+    corners = [_point(rows, *_exact(corner)) for corner in triangle]
+    drawn = parts @ np.stack(corners)
+    exact = _point(rows, *(parts @ _exact(triangle)))
+    half = half / scale
+    if not drawn[3] > 0 or any(abs(drawn[k]) > half[k] * drawn[3] for k in range(3)):
+        return _UNSEEN
+    if not exact[3] > 0:
+        return float("inf")
+    compared = 2 if depth is None else 3
+    return float(max(abs(exact[k] / exact[3] - drawn[k] / drawn[3]) for k in range(compared)))
+
+
+def _point(rows: np.ndarray, u: Any, v: Any) -> np.ndarray:
+    by_u, by_v = (
+        np.array([comb(d, j) * t**j * (1 - t) ** (d - j) for j in range(d + 1)], object)
+        for d, t in ((rows.shape[0] - 1, u), (rows.shape[1] - 1, v))
+    )
+    return np.tensordot(by_v, np.tensordot(by_u, rows, (0, 0)), (0, 0))
