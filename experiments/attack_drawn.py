@@ -2,31 +2,19 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 
+from slefejax import triangulate
 from slefejax.experiments.attack_judge import Found, Screen, judge_triangles
-from slefejax.gpu import Renderer
 from slefejax.tessellator import MOST_LEVEL, triangle_counts
-from slefejax.view import Camera, View
 
 _MOST = 200_000  # triangles of a view; patches beyond are left out, those with the most first
 
 
 def triangles(inner: np.ndarray, outer: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(patch ``(triangles,)``, parameters ``(triangles, 3, 2)``) of patches with these levels."""
-    renderer, view = _flat(len(inner))
-    captured = renderer.capture(view, inner, outer)
-    return captured.patch, captured.parameters.astype(np.float64)
-
-
-@cache
-def _flat(count: int) -> tuple[Renderer, View]:
-    """Flat patches, all of which are seen: only their levels matter."""
-    quad = np.array([[[0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0]]], np.float64)
-    view = View(Camera.orthographic((0.5, 0.5, 5.0), (0.5, 0.5, 0.0), up=(0, 1, 0)), 16, 16)
-    return Renderer(np.repeat(quad[None], count, axis=0)), view
+    made = triangulate(np.zeros((len(inner), 2, 2, 3)), (inner, outer))
+    return made.patch[made.faces[:, 0]], made.parameters[made.faces]
 
 
 def judged_levels(screen: Screen, inner: np.ndarray, edges: np.ndarray) -> tuple[Found, np.ndarray]:
