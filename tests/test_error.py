@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from slefejax import Camera, InputError, View
-from slefejax.error import pixel_error, surface_on_screen
+from slefejax.error import drawn_error, pixel_error, surface_on_screen
 
 
 def bernstein3(t):
@@ -76,7 +76,7 @@ def test_twist_as_measured(device, side, error):
     one = np.ones((1, 6), int)
     renderer = Renderer(quad, device)
     seen = renderer.draw(view, one[:, :2], one[:, 2:])
-    worst = np.nanmax(pixel_error(quad, view, seen.u, seen.v, seen.patch))
+    worst = np.nanmax(drawn_error(quad, view, seen))
     # the worst point need not be a pixel's centre, and the renderer has its floor
     assert worst == pytest.approx(error, rel=0.01)
 
@@ -93,7 +93,7 @@ def test_bad_pixels_vanish_as_factors_grow(device, teapot, main_view):
         scaled = factors.scaled(scale)
         # each patch's own level on its edges: transition rings have errors of their own
         seen = renderer.draw(main_view, scaled.inner, np.repeat(scaled.levels[:, None], 4, axis=1))
-        error = pixel_error(teapot.patches(), main_view, seen.u, seen.v, seen.patch)
+        error = drawn_error(teapot.patches(), main_view, seen)
         shares.append(np.mean(error[np.isfinite(error)] > 0.5))
     assert shares == sorted(shares, reverse=True)
     assert shares[0] > 0.5
