@@ -15,14 +15,17 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from slefejax.errors import OpenGLError
 from slefejax.tessellator import Pieces
 
 _SIDES = 9
-_ROUNDING = 1e-9  # of a function's largest value at a corner
+_ROUNDING = 1e-7  # of a function's largest value at a corner
+_WIDTH = 1e-6  # of triangles that have none in the domain: of a thousand pixels' patch a thousandth of a pixel
 _NEVER = 1e9
 _FAR = 64.0  # parameters beyond are noise, and would leave nothing of the digits of the triangle
 _APART = 8.0  # between the domains of patches: more than the sum of three parameters
 _MOST_PIECES = 256  # that a patch is cut into along u or v
+_SAME = 1e-5  # of a sum of parameters in single precision; triangles are some 1/16,384 apart
 _AT_ONCE = 128  # pieces whose triangles are looked at: at most 8,192 each
 
 
@@ -54,6 +57,8 @@ class Strays(NamedTuple):
 
         parts   : all pieces that were drawn
         capture : makes the triangles of some of them, ``slefejax.gpu.Triangles``
+
+        Raises OpenGLError if they are not among these.
         """
         parts, count = self._own(parts), len(self.patch)
         nearest, parameters, clip = np.full(count, np.inf), np.zeros((count, 3, 2)), np.zeros((count, 3, 4))
@@ -64,18 +69,31 @@ class Strays(NamedTuple):
             closer = apart < nearest
             nearest[closer] = apart[closer]
             parameters[closer], clip[closer] = made.parameters[which[closer]], made.clip[which[closer]]
-        return parameters, clip
+        if np.any(nearest > _SAME):
+            raise OpenGLError("the tessellator does not make the same triangles twice: what was drawn is not known")
+        return _with_area(parameters), clip
 
     def _own(self, parts: Pieces) -> Pieces:
         """The pieces that their triangles are in."""
         along = parts.along[np.searchsorted(parts.patch, self.patch)]
-        place = (self.corners / 3.0 * along).astype(np.int64)
+        place = np.minimum((self.corners / 3.0 * along).astype(np.int64), along - 1)
         wanted = np.isin(_numbers(parts.patch, parts.place), _numbers(self.patch, place))
         return Pieces(*(x[wanted] for x in parts))
 
 
 def _numbers(patch: np.ndarray, place: np.ndarray) -> np.ndarray:
     return (patch.astype(np.int64) * _MOST_PIECES + place[:, 0]) * _MOST_PIECES + place[:, 1]
+
+
+def _with_area(corners: np.ndarray) -> np.ndarray:
+    """The same, but corners on a line, which fractional spacing makes, are moved off it."""
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    flat = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) < _WIDTH**2
+    along = np.where(np.sum(a**2, axis=1, keepdims=True) > np.sum(b**2, axis=1, keepdims=True), a, b)
+    across = along[:, ::-1] * [-1.0, 1.0] / np.linalg.norm(along, axis=1, keepdims=True)
+    # irrational: wherever they lie on the line, they lie on none afterwards
+    shifts = _WIDTH * np.array([0.0, 1.0, np.sqrt(5.0)])
+    return np.where(flat[:, None, None], corners + shifts[:, None] * across[:, None], corners)
 
 
 def nearest_drawn(

@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import jax
 import numpy as np
 import pytest
 
 from slefejax import Camera, InputError, View
-from slefejax.error import drawn_error, pixel_error, surface_on_screen
+from slefejax.error import SLIPPED, drawn_error, pixel_error, slip, surface_on_screen
+from slefejax.experiments.minimality import error_shares, slips
 
 
 def bernstein3(t):
@@ -45,6 +48,33 @@ def test_error_is_the_larger_coordinate_and_nan_where_nothing_is():
     assert error[0, 1] == pytest.approx(0.7, abs=1e-12)
     assert np.nansum(error) == pytest.approx(0.7, abs=1e-12)
     assert np.all(np.isnan(pixel_error(square, view, u, v, patch * 0 - 1)))
+
+
+def test_error_from_where_it_was_drawn_and_slip_apart():
+    """The point belongs 0.3 px to the right of the centre and was drawn 0.25 px to the left, and 1/16 px above."""
+    square = np.array([[[0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0]]], float)[None]
+    view = View(Camera.orthographic((0.5, 0.5, 5), (0.5, 0.5, 0), up=(0, 1, 0), height=1.0), 4, 4)
+    u, v = np.meshgrid((np.arange(4) + 0.5) / 4, (np.arange(4) + 0.5) / 4)
+    patch, drawn = np.zeros((4, 4), int), np.zeros((4, 4, 2))
+    patch[3, 3] = -1
+    u[2, 1] += 0.3 / 4
+    drawn[2, 1] = -0.25, 1 / 16
+    seen = SimpleNamespace(u=u, v=v, patch=patch, drawn=drawn)
+    assert pixel_error(square, view, u, v, patch)[2, 1] == pytest.approx(0.3, abs=1e-12)
+    error = drawn_error(square, view, seen)
+    assert error[2, 1] == pytest.approx(0.55, abs=1e-12)
+    assert np.nansum(error) == pytest.approx(0.55, abs=1e-12)
+    assert np.array_equal(error, pixel_error(square, view, u, v, patch, drawn), equal_nan=True)
+    assert slip(seen)[2, 1] == 0.25
+    assert np.nansum(slip(seen)) == 0.25
+    assert np.isnan(slip(seen)[3, 3])
+    assert slips(seen) == {"slipped_pixels": 1, "max_slip_px": 0.25}
+    drawn[2, 1] = SLIPPED, -SLIPPED
+    assert slips(seen)["slipped_pixels"] == 0, "above, not from on"
+    row = error_shares(drawn_error(square, view, seen), seen)
+    assert (row["covered_pixels"], row["share_above_0.1"]) == (15, 1 / 15)
+    patch[:] = -1
+    assert slips(seen) == {"slipped_pixels": 0, "max_slip_px": 0.0}
 
 
 def test_points_behind_the_camera_are_infinitely_wrong():

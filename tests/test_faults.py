@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slefejax.experiments import store
 from slefejax.experiments.cli import main
 from slefejax.experiments.store import Run
 
@@ -93,6 +94,17 @@ def test_half_a_line_costs_only_itself(tmp_path, monkeypatch):
             file.write('{"k": 3, "val')
         run.add({"k": 4})
         assert run.rows() == [{"k": 1}, {"k": 2}, {"k": 4}]
+
+
+def test_rows_with_other_columns_are_not_gone_on_with(tmp_path, monkeypatch):
+    """Left by a version of the same name whose tables had other columns."""
+    monkeypatch.chdir(tmp_path)
+    with monkeypatch.context() as then:
+        then.setattr(store, "_COLUMNS", 1)
+        with Run("sweep", {}, None) as run:
+            run.add({"k": 1, "drawn_outside": 0})
+    with Run("sweep", {}, None) as run:
+        assert run.rows() == []
 
 
 def start(folder: Path, *more: str, limit: int | None = None) -> subprocess.Popen[bytes]:

@@ -11,6 +11,7 @@ from slefejax import Camera, Mesh, Scene, View, convert, tessellation_factors, t
 from slefejax.edges import shared_edges
 from slefejax.error import SLIPPED, drawn_error, pixel_error, slip
 from slefejax.experiments.options import cameras_around
+from slefejax.gpu import strays
 from slefejax.gpu.strays import drawn_at, nearest_drawn
 from tests.test_gpu import lattice, random_levels
 
@@ -59,8 +60,8 @@ def test_nearest_points_of_what_is_drawn(rng):
             continue
         counted += 1
         own = at[k] @ clip[k]
-        assert at[k].min() >= -1e-9
-        assert np.all(np.abs(own[:3]) <= own[3] + 1e-8)
+        assert at[k].min() >= -1e-7
+        assert np.all(np.abs(own[:3]) <= own[3] + 1e-6)
         nearest = np.linalg.norm(shares[drawn] @ parameters[k] - place[k], axis=1).min()
         assert np.linalg.norm(found[k] - place[k]) <= nearest + 1e-12
         np.testing.assert_allclose(drawn_at(parameters, clip, found)[k], own[:2] / own[3], rtol=1e-6, atol=1e-9)
@@ -70,6 +71,23 @@ def test_nearest_points_of_what_is_drawn(rng):
     assert np.allclose(nearest_drawn(parameters, whole, np.full((n, 2), np.nan)), parameters.mean(axis=1))
     beyond = nearest_drawn(parameters, whole, inside + 1e6)
     assert np.all((beyond >= parameters.min(axis=1) - 1e-9) & (beyond <= parameters.max(axis=1) + 1e-9))
+
+
+def test_triangles_without_area_get_some():
+    """As fractional spacing makes them: corners on a line, two of them in one place, and the ends in the middle."""
+    t = np.array([[0.0, 0.5, 1.0], [0.5, 0.0, 1.0], [0.25, 0.25, 0.5], [0.0, 1.0, 1.0]])
+    flat = np.stack([t / 3, t / 2 + 0.25], axis=2)
+    found = strays._with_area(flat)
+    assert np.abs(found - flat).max() < 1e-5
+    clip = np.concatenate([flat - 0.5, 0 * flat[..., :1], 0 * flat[..., :1] + 1.0], axis=2)
+    place = nearest_drawn(found, clip, np.full((4, 2), 0.5))
+    for points, near in zip(flat, place, strict=True):
+        line = points[0] + np.linspace(0, 1, 1001)[:, None] * (points[1] - points[0])
+        line = np.concatenate([line, points[0] + np.linspace(0, 1, 1001)[:, None] * (points[2] - points[0])])
+        assert np.linalg.norm(near - 0.5) == pytest.approx(np.linalg.norm(line - 0.5, axis=1).min(), abs=1e-3)
+    np.testing.assert_allclose(drawn_at(found, clip, place), place - 0.5, atol=1e-5)
+    whole = np.array([[[0.0, 0.0], [1.0, 0.0], [0.0, 1 / 16384]]])
+    assert np.array_equal(strays._with_area(whole), whole)
 
 
 @pytest.mark.gl
@@ -181,7 +199,6 @@ def test_slivers_are_moved_into_their_triangles(device):
     check(seen, error, slips, centre, allowed)
     assert 0 <= min(seen.u.min(), seen.v.min()) <= max(seen.u.max(), seen.v.max()) <= 1
     assert error.max() <= FLOOR  # a plane has none
-    assert slips.max() > SLIPPED
 
 
 @pytest.mark.gl
