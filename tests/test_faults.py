@@ -184,7 +184,7 @@ def test_a_full_disk_loses_nothing(device, tmp_path):
 
 @pytest.mark.gl
 def test_a_device_that_is_lost(device, tmp_path, monkeypatch, capsys):
-    """OpenGL fails in the second row, at the sixth picture that is drawn: one sentence, status 2, and the rows before it are kept."""
+    """OpenGL fails at the sixth picture, in the second row: one sentence, status 2, and the row before it is kept."""
     from slefejax.errors import OpenGLError
     from slefejax.gpu import Device
 
