@@ -57,7 +57,7 @@ def check_view(scene, view, renderer):
     error = drawn_error(scene.patches(), view, seen)
     assert np.count_nonzero(np.isfinite(error)) > 100
     assert np.nanmax(error) <= 0.5 + FLOOR
-    assert np.count_nonzero(slip(seen) > SLIPPED) < 10
+    assert np.count_nonzero(slip(seen) > SLIPPED) < 50
     if np.all(np.asarray(factors.factor) > 0):  # else the surface ends where patches are left out
         assert not open_triangle_edges(found, free_edges(scene)).size
     assert triangle_error(scene.patches(), found, view).max() <= 0.5

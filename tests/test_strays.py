@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import numpy as np
 import pytest
@@ -21,7 +23,7 @@ FLOOR = 1e-3  # pixels under an error: vertices are rounded to float32, some eps
 DRIVER = 2e-3
 
 
-def measured(patches, view, inner, outer, device, spacing="equal"):
+def measured(patches, view, inner, outer, device, spacing="equal") -> Any:
     """The picture; error, slip and distance from the centre of its pixels; the largest error of each one's patch."""
     from slefejax.gpu import Renderer
 
