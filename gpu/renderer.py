@@ -122,11 +122,11 @@ class Renderer:
         Past 64 levels must be multiples of the number of pieces; those of ``Factors`` are, ``with_pieces`` makes others
         so. Raises InputError for levels of the wrong shape, or that cannot be drawn.
         """
+        parts = self._parts(view, inner, outer)
         target = self._framebuffer(view)
         target.use()
         self.device.context.enable_only(moderngl.DEPTH_TEST)
         target.clear(0.0, 0.0, -1.0, 1.0, depth=1.0)
-        parts = self._parts(view, inner, outer)
         self._render("draw", view, parts, _in_pieces(parts))
         self._drawn = (view, parts)
         self.device.context.finish()

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial import cKDTree
 
 from slefejax.errors import OpenGLError
 from slefejax.tessellator import Pieces
@@ -44,7 +43,7 @@ class Strays(NamedTuple):
     @staticmethod
     def of(
         samples: Float[np.ndarray, "height width 4"], drawn: Float[np.ndarray, "height width 2"]
-    ) -> tuple[Strays, tuple[np.ndarray, np.ndarray]]:
+    ) -> tuple[Strays, tuple[np.ndarray, ...]]:
         """Those of a picture, and their rows and columns."""
         at = np.nonzero(samples[..., 2] < -1)
         height, width = samples.shape[:2]
@@ -60,12 +59,15 @@ class Strays(NamedTuple):
 
         Raises OpenGLError if they are not among these.
         """
+        from scipy.spatial import KDTree  # slow to import
+
         parts, count = self._own(parts), len(self.patch)
+        wanted = np.column_stack([_APART * self.patch, self.corners])
         nearest, parameters, clip = np.full(count, np.inf), np.zeros((count, 3, 2)), np.zeros((count, 3, 4))
         for first in range(0, len(parts.patch), _AT_ONCE):
             made = capture(Pieces(*(x[first : first + _AT_ONCE] for x in parts)))
             known = np.column_stack([_APART * made.patch, made.parameters.sum(axis=1, dtype=float)])
-            apart, which = cKDTree(known).query(np.column_stack([_APART * self.patch, self.corners]))
+            apart, which = (np.asarray(x) for x in KDTree(known).query(wanted))
             closer = apart < nearest
             nearest[closer] = apart[closer]
             parameters[closer], clip[closer] = made.parameters[which[closer]], made.clip[which[closer]]

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import jax
 import numpy as np
@@ -59,7 +60,7 @@ def test_error_from_where_it_was_drawn_and_slip_apart():
     patch[3, 3] = -1
     u[2, 1] += 0.3 / 4
     drawn[2, 1] = -0.25, 1 / 16
-    seen = SimpleNamespace(u=u, v=v, patch=patch, drawn=drawn)
+    seen: Any = SimpleNamespace(u=u, v=v, patch=patch, drawn=drawn)
     assert pixel_error(square, view, u, v, patch)[2, 1] == pytest.approx(0.3, abs=1e-12)
     error = drawn_error(square, view, seen)
     assert error[2, 1] == pytest.approx(0.55, abs=1e-12)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import jax
@@ -12,6 +13,7 @@ import trimesh
 from slefejax import Camera, Mesh, Scene, View, convert, tessellation_factors, triangle_error, with_pieces
 from slefejax.edges import shared_edges
 from slefejax.error import SLIPPED, drawn_error, pixel_error, slip
+from slefejax.experiments.cli import main
 from slefejax.experiments.options import cameras_around
 from slefejax.gpu import strays
 from slefejax.gpu.strays import drawn_at, nearest_drawn
@@ -239,3 +241,14 @@ def test_a_picture_is_read_before_patches_move(device, teapot, main_view):
     with pytest.raises(InputError, match="nothing was drawn since the renderer was made or its patches moved"):
         renderer.read(main_view)
     renderer.release()
+
+
+@pytest.mark.gl
+def test_certify_has_the_same_rule(device, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    trimesh.creation.icosphere(subdivisions=1).export("sphere.obj")
+    assert main(["certify", "sphere.obj", "teapot", "--size", "240x150", "--json"]) == 0
+    for row in json.loads(capsys.readouterr().out)["summary"]:
+        assert row["max_error_px"] <= 1.01 * row["drawn_sup_error_px"] + FLOOR
+        assert (row["slipped_pixels"] > 0) == (row["max_slip_px"] > SLIPPED)
+        assert row["slipped_pixels"] < 20
