@@ -10,7 +10,7 @@ import tyro
 from matplotlib.image import imread
 
 from slefejax import Scene, Session, View
-from slefejax.error import pixel_error
+from slefejax.error import drawn_error
 from slefejax.errors import InputError
 from slefejax.experiments.camera_path import ViewPath, camera_path
 from slefejax.experiments.frames import Frames, Levels, change_of_levels, frame_levels, moves_of_pixels, timed
@@ -28,9 +28,9 @@ _LOOKED_AT = 4  # poses that the camera frames
 _NOTHING_SEEN = {"covered_pixels": 0} | dict.fromkeys(
     (*(f"share_above_{limit:g}" for limit in THRESHOLDS), "max_error_px"), float("nan")
 )
-_NOTHING_SEEN["drawn_outside"] = 0
+_NOTHING_SEEN |= {"slipped_pixels": 0, "max_slip_px": float("nan")}
 _SHOWN = (
-    *("frame", "time", "triangles", "share_above_0.5", "max_error_px", "drawn_outside", "changed_share", "pop_max_px"),
+    *("frame", "time", "triangles", "share_above_0.5", "max_error_px", "slipped_pixels", "changed_share", "pop_max_px"),
     *("skinning_ms", "boxes_ms", "view_ms", "levels_ms", "hand_over_ms", "render_ms"),
 )
 
@@ -149,7 +149,7 @@ class _Film:
         self._renderer.submit(view, own.inner, own.outer)  # once unmeasured: the driver may compile
         render_ms = timed(lambda: self._renderer.submit(view, own.inner, own.outer))
         seen = self._renderer.read(view)
-        error = pixel_error(own.patches, view, seen.u, seen.v, seen.patch)
+        error = drawn_error(own.patches, view, seen)
         write_error_image(self.run.file(picture_name(frame)), error)
         changed = {"changed_share": float("nan"), "pop_p99_px": float("nan"), "pop_max_px": float("nan")}
         if before is not None:

@@ -139,7 +139,7 @@ def bones_of(influences: Influences) -> tuple[np.ndarray, np.ndarray]:
     return np.where(there, matrix.indices[at], 0), np.where(there, matrix.data[at], 0.0)
 
 
-def plain_pixel_error(patches: np.ndarray, matrix: np.ndarray, u: Any, v: Any, patch: Any) -> np.ndarray:
+def plain_pixel_error(patches: np.ndarray, matrix: np.ndarray, u: Any, v: Any, patch: Any, drawn: Any) -> np.ndarray:
     """The error of all covered pixels (2012, eq 1): control points gathered for each, Bernstein sums by einsum."""
     rows, columns = np.nonzero(patch >= 0)
     own = np.concatenate([patches, np.ones_like(patches[..., :1])], axis=-1)[patch[rows, columns]] @ matrix.T
@@ -149,7 +149,7 @@ def plain_pixel_error(patches: np.ndarray, matrix: np.ndarray, u: Any, v: Any, p
         for degree, t in zip(degrees, (u, v), strict=True)
     ]
     point = np.einsum("pi,pj,pijc->pc", *across, own, optimize=["einsum_path", (0, 2), (0, 1)])
-    place = point[:, :2] / point[:, 3:]
+    place = np.stack([columns, rows], axis=1) + 0.5 + drawn[rows, columns]
     error = np.full(patch.shape, np.nan)
-    error[rows, columns] = np.maximum(np.abs(place[:, 0] - columns - 0.5), np.abs(place[:, 1] - rows - 0.5))
+    error[rows, columns] = np.max(np.abs(point[:, :2] / point[:, 3:] - place), axis=1)
     return error

@@ -251,7 +251,7 @@ def error_image(at: Setting) -> Work:
     renderer, view, factors = at.drawing
     found = renderer.draw(view, factors.inner, factors.edges)
     patches, matrix = at.patches.astype(np.float64), np.asarray(view.world_to_screen)
-    given = (found.u, found.v, found.patch)
+    given = (found.u, found.v, found.patch, found.drawn)
 
     def draw_and_read() -> Any:
         return renderer.draw(view, factors.inner, factors.edges)

@@ -11,8 +11,9 @@ import numpy as np
 import tyro
 
 from slefejax import Factors, Scene, View, minimal_factors, sampled_error, tessellation_factors, triangle_error
-from slefejax.error import pixel_error
+from slefejax.error import drawn_error
 from slefejax.errors import InputError
+from slefejax.experiments.minimality import slips
 from slefejax.experiments.options import LoadOptions, OutputOptions, ViewOptions, camera_record, check_count
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run, digest
@@ -125,7 +126,7 @@ def _measure(scene: Scene, view: View, options: Certify, run: Run, number: int) 
         uniform = sampled_error(patches, inner, view)
         drawn = triangle_error(patches, renderer.capture(view, inner, edges), view)
         seen = renderer.draw(view, inner, edges)
-        pixels = pixel_error(patches, view, seen.u, seen.v, seen.patch)
+        pixels = drawn_error(patches, view, seen)
         write_error_image(run.file(picture_name(number, method)), pixels)
         errors[method] = (uniform, drawn)
         summary.append(
@@ -139,6 +140,7 @@ def _measure(scene: Scene, view: View, options: Certify, run: Run, number: int) 
                 "sup_error_px": float(uniform.max()),
                 "drawn_sup_error_px": float(drawn.max()),
                 "max_error_px": float(np.nanmax(pixels, initial=0.0)),
+                **slips(seen),
                 "patches_above": int(np.sum(np.maximum(uniform, drawn) > options.tolerance)),
                 "predict_ms": milliseconds[method],
             }

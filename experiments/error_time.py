@@ -12,7 +12,7 @@ import tyro
 
 from slefejax import Factors, Scene, View, minimal_factors, sampled_error, tessellation_factors, triangle_error
 from slefejax.covering import covering_error
-from slefejax.error import pixel_error
+from slefejax.error import drawn_error
 from slefejax.errors import InputError
 from slefejax.experiments.minimality import error_shares
 from slefejax.experiments.options import LoadOptions, OutputOptions, cameras_around, check_count, parse_size
@@ -188,7 +188,7 @@ class _View:
 
     def _errors(self, m: Method, factors: Factors, inner: np.ndarray, outer: np.ndarray) -> Row:
         seen = self.renderer.draw(self.view, inner, outer)
-        error = pixel_error(self.patches, self.view, seen.u, seen.v, seen.patch)
+        error = drawn_error(self.patches, self.view, seen)
         if self.run is not None and m.name in PICTURES:
             write_error_image(self.run.file(picture_name(m.name)), error)
         triangles = self.renderer.capture(self.view, inner, outer)
@@ -247,7 +247,7 @@ def summary(rows: list[Row]) -> list[Row]:
         "predict_ms",
         "render_ms",
     )
-    worst = ("sup_error_px", "drawn_sup_error_px", "max_error_px")
+    worst = ("sup_error_px", "drawn_sup_error_px", "max_error_px", "slipped_pixels", "max_slip_px")
     found = []
     for name in names:
         own = [row for row in rows if row["method_name"] == name]
@@ -255,7 +255,7 @@ def summary(rows: list[Row]) -> list[Row]:
             {
                 "method": name,
                 **{key: float(np.median([row[key] for row in own])) for key in medians},
-                **{key: float(max(row[key] for row in own)) for key in worst},
+                **{key: max(row[key] for row in own) for key in worst},
             }
         )
     return found

@@ -12,7 +12,7 @@ from jaxtyping import Float, Real
 
 from slefejax import Scene, Session, View
 from slefejax.edges import edge_maxima
-from slefejax.error import drawn_outside, surface_on_screen
+from slefejax.error import surface_on_screen
 from slefejax.errors import InputError
 from slefejax.experiments.store import Row
 from slefejax.gpu import GBuffer
@@ -139,16 +139,16 @@ def change_of_levels(before: Levels, after: Levels) -> Row:
 def moves_of_pixels(patches: np.ndarray, view: View, seen: GBuffer, other: GBuffer) -> Row:
     """How far apart two tessellations of the same patches put the texture, in pixels: what pops when one follows.
 
-    At every pixel where both show the same patch: the distance on the screen, along x or y, between the points of the
-    surface whose parameters they have there; its 99 % quantile and maximum.
+    At every pixel where both show the same patch: the points of the surface whose parameters they have there lie so and
+    so far on the screen from where they are drawn; the difference, along x or y; its 99 % quantile and maximum.
     """
-    outside = [drawn_outside(g.u, g.v, g.patch) for g in (seen, other)]
-    same = (seen.patch >= 0) & (seen.patch == other.patch) & ~outside[0] & ~outside[1]
+    same = (seen.patch >= 0) & (seen.patch == other.patch)
     if not same.any():
         return {"pop_p99_px": 0.0, "pop_max_px": 0.0}
     places = [
-        surface_on_screen(patches, view, seen.patch[same], g.u[same].astype(float), g.v[same].astype(float))
+        surface_on_screen(patches, view, seen.patch[same], g.u[same].astype(float), g.v[same].astype(float))[:, :2]
+        - g.drawn[same]
         for g in (seen, other)
     ]
-    apart = np.abs(places[0] - places[1])[:, :2].max(axis=1)
+    apart = np.abs(places[0] - places[1]).max(axis=1)
     return {"pop_p99_px": float(np.quantile(apart, 0.99)), "pop_max_px": float(apart.max())}

@@ -17,8 +17,9 @@ from slefejax.conversion.acc import acc_patches
 from slefejax.conversion.patchwork import KINDS
 from slefejax.defects import find_defects, isolated_vertices
 from slefejax.edges import collapsed
-from slefejax.error import pixel_error
+from slefejax.error import drawn_error
 from slefejax.errors import InputError, NoOpenGLError
+from slefejax.experiments.minimality import slips
 from slefejax.experiments.options import LoadOptions, OutputOptions, ViewOptions, camera_record
 from slefejax.experiments.outlines import outlines
 from slefejax.experiments.report import Report
@@ -191,8 +192,8 @@ def _picture(scene: Scene, view: View, tolerance: float, run: Run) -> tuple[Row,
     shown = seen.patch >= 0
     if not shown.any():
         return row, (*notes, "no picture: nothing of the scene is on the screen")
-    error = pixel_error(patches, view, seen.u, seen.v, seen.patch)
-    row["max_error_px"] = float(np.nanmax(error))
+    error = drawn_error(patches, view, seen)
+    row |= {"max_error_px": float(np.nanmax(error)), **slips(seen)}
     row["covered_share"] = float(shown.mean())
     kinds = np.full(len(patches), KINDS.index("bezier")) if scene.kinds is None else scene.kinds
     painted = np.where(shown, np.append(kinds, 0)[seen.patch], -1)

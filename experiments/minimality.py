@@ -10,7 +10,7 @@ import numpy as np
 import tyro
 
 from slefejax import Factors, Scene, View, tessellation_factors
-from slefejax.error import drawn_outside, pixel_error
+from slefejax.error import SLIPPED, drawn_error, slip
 from slefejax.errors import InputError
 from slefejax.experiments.options import (
     LoadOptions,
@@ -126,7 +126,7 @@ class _Sweep:
         self.renderer.submit(self.view, inner, outer)
         render_ms = 1e3 * (time.perf_counter() - start)
         seen = self.renderer.read(self.view)
-        error = pixel_error(self.scene.patches(), self.view, seen.u, seen.v, seen.patch)
+        error = drawn_error(self.scene.patches(), self.view, seen)
         write_error_image(self.run.file(error_name(scale)), error)
         return {
             "method": self.options.prediction.method,
@@ -147,7 +147,7 @@ class _Sweep:
         if max(inner.max(), outer.max()) > MOST_LEVEL:
             return {f"slefe_{name}": float("nan") for name in names}
         seen = self.renderer.draw(self.view, inner, outer)
-        error = pixel_error(self.scene.patches(), self.view, seen.u, seen.v, seen.patch)
+        error = drawn_error(self.scene.patches(), self.view, seen)
         found = {"triangles": int(triangle_counts(inner, outer).sum()), **error_shares(error, seen)}
         return {f"slefe_{name}": found[name] for name in names}
 
@@ -182,17 +182,21 @@ def _labels(patch: np.ndarray, factor: np.ndarray, most: int = 80) -> list[tuple
 
 
 def error_shares(error: np.ndarray, seen: GBuffer) -> Row:
-    """Covered pixels, the share of them above each threshold, and the largest error.
-
-    Pixels that the driver took from outside of their patch (``drawn_outside``) are counted by themselves.
-    """
-    outside = drawn_outside(seen.u, seen.v, seen.patch)
-    covered = error[~np.isnan(error) & ~outside]
+    """Covered pixels, the share of them above each threshold, the largest error, and the driver's slips."""
+    covered = error[~np.isnan(error)]
     if covered.size == 0:
         raise InputError("the picture is empty: no pixel centre is covered by the scene")
     shares = {f"share_above_{limit:g}": float(np.mean(covered > limit)) for limit in THRESHOLDS}
-    largest = {"max_error_px": float(covered.max()), "drawn_outside": int(outside.sum())}
-    return {"covered_pixels": int(covered.size), **shares, **largest}
+    return {"covered_pixels": int(covered.size), **shares, "max_error_px": float(covered.max()), **slips(seen)}
+
+
+def slips(seen: GBuffer) -> Row:
+    """How many pixels show what was drawn further than ``SLIPPED`` from their centres, and the furthest."""
+    found = slip(seen)
+    return {
+        "slipped_pixels": int(np.count_nonzero(found > SLIPPED)),
+        "max_slip_px": float(np.max(found, where=~np.isnan(found), initial=0.0)),
+    }
 
 
 def _title(scene: Scene, view: View, factors: Factors, options: PredictionOptions) -> str:

@@ -26,6 +26,7 @@ from typing import Any
 from slefejax.errors import InputError
 
 PACKAGES = ("slefejax", "jax", "jaxlib", "numpy", "scipy", "scikit-image", "trimesh", "moderngl", "matplotlib")
+_COLUMNS = 2  # grows when rows get other columns, or other meanings: what was stopped before is not gone on with
 Row = dict[str, Any]
 
 
@@ -41,9 +42,8 @@ class Run:
         self.experiment, self.arguments = experiment, arguments
         self._out = out.resolve() if out else None
         self.parent = self._out.parent if self._out else Path("runs") / experiment
-        text = json.dumps(
-            [experiment, arguments, inputs, str(self._out), _versions(), _commit()], sort_keys=True, default=str
-        )
+        asked = [experiment, arguments, inputs, str(self._out), _versions(), _commit(), _COLUMNS]
+        text = json.dumps(asked, sort_keys=True, default=str)
         self.work = self.parent / f".{experiment}-{digest(text.encode())}.partial"
         self._rows_file = self.work / _ROWS
         if (

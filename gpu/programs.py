@@ -19,7 +19,8 @@ _STAGES = {
 
 def draw_program(context: Any, shape: tuple[int, int, int], spacing: str, owned: bool) -> Any:
     """Draws patches of shape (du+1, dv+1, dim) into the G-buffer; owned: sides are their owners' (sides.glsl)."""
-    return _program(context, shape, spacing, owned, {**_STAGES, "fragment_shader": "gbuffer.frag"})
+    stages = {**_STAGES, "geometry_shader": "gbuffer.geom", "fragment_shader": "gbuffer.frag"}
+    return _program(context, shape, spacing, owned, stages)
 
 
 def capture_program(context: Any, shape: tuple[int, int, int], spacing: str, owned: bool) -> Any:

@@ -14,6 +14,7 @@ from slefejax.edges import Sides
 from slefejax.errors import InputError, OpenGLError
 from slefejax.gpu.context import Device, open_device
 from slefejax.gpu.programs import capture_program, draw_program
+from slefejax.gpu.strays import Strays, drawn_at, nearest_drawn
 from slefejax.gpu.unseen import without_unseen
 from slefejax.tessellator import MOST_LEVEL, Pieces, check_spacing, highest_level, segments, triangle_counts
 from slefejax.view import LARGEST, View
@@ -23,6 +24,8 @@ VERTICES_A_DRAW = 65_536
 _HIGHEST_PATCH_NUMBER = 2**24
 _RECORD = 20  # floats a captured triangle, see capture.geom
 _PIECE = 12  # floats a piece, see patch.tesc
+_ATTACHMENTS = (4, 2)  # components of the G-buffer's parts, see gbuffer.frag
+_PROGRAMS = {"draw": draw_program, "capture": capture_program}
 
 Inner = Any  # levels (patches, 2), along u and v
 Outer = Any  # levels (patches, 4), at u=0, v=0, u=1, v=1
@@ -32,15 +35,19 @@ Outer = Any  # levels (patches, 4), at u=0, v=0, u=1, v=1
 class GBuffer:
     """What is seen at every pixel centre; arrays ``(height, width)``, row 0 at the bottom (``slefejax.view``).
 
-    u, v  : float32 parameters of the patch, interpolated with perspective by the rasteriser
+    u, v  : float32 parameters of the patch, interpolated with perspective by the rasteriser; where they would lie
+            outside of what is drawn of the triangle, the nearest that lie in it (``slefejax.gpu.strays``)
     patch : int32 number of the patch, -1 where nothing was drawn
     depth : float32 window depth, 1 where nothing was drawn
+    drawn : float32 ``(height, width, 2)``, where the triangle's point with these parameters is drawn: so many pixels to
+            the right of the pixel's centre and above it, 0 where nothing was drawn
     """
 
     u: Float[np.ndarray, "height width"]
     v: Float[np.ndarray, "height width"]
     patch: Int[np.ndarray, "height width"]
     depth: Float[np.ndarray, "height width"]
+    drawn: Float[np.ndarray, "height width 2"]
 
 
 @dataclass(frozen=True)
@@ -95,6 +102,7 @@ class Renderer:
         if sides is not None:
             self._owners = context.buffer(_owner_records(sides, self._count))
         self._target: tuple[tuple[int, int], Any] | None = None
+        self._drawn: tuple[View, Pieces, bool] | None = None
         self._arrays: dict[str, Any] = {}
         self._pieces: Any = None
         self._numbers: Any = None
@@ -110,6 +118,7 @@ class Renderer:
                 f"patches that move keep their number and degree: {(self._count, *self._shape)}, not {control.shape}"
             )
         self._control.write(control.tobytes())
+        self._drawn = None
         self._sent, self._to_world = control, to_world
         if self._finds_sides:
             self._owners.write(_owner_records(_sides_of(patches), self._count))
@@ -127,47 +136,40 @@ class Renderer:
         Past 64 levels must be multiples of the number of pieces; those of ``Factors`` are, ``with_pieces`` makes others
         so. Raises InputError for levels of the wrong shape, or that cannot be drawn.
         """
+        parts, in_pieces = self._parts(view, inner, outer)
         target = self._framebuffer(view)
         target.use()
         self.device.context.enable_only(moderngl.DEPTH_TEST)
         target.clear(0.0, 0.0, -1.0, 1.0, depth=1.0)
-        self._render("draw", draw_program, view, self._parts(view, inner, outer))
+        self._render("draw", view, parts, in_pieces)
+        self._drawn = (view, parts, in_pieces)
         self.device.context.finish()
         self.device.check_error("drawing patches")
 
     def read(self, view: View) -> GBuffer:
-        """The picture that was drawn last."""
+        """The picture that was drawn last. Raises InputError if there is none, or if the patches have moved since."""
+        if self._drawn is None:
+            raise InputError("nothing was drawn since the renderer was made or its patches moved: draw, then read")
         target = self._framebuffer(view)
-        flat = np.frombuffer(target.read(components=4, dtype="f4"), np.float32)
-        samples = flat.reshape(target.height, target.width, 4)
+        samples, drawn = (
+            np.frombuffer(target.read(attachment=k, components=n, dtype="f4"), np.float32).reshape(
+                *target.size[::-1], n
+            )
+            for k, n in enumerate(_ATTACHMENTS)
+        )
         self.device.check_error("reading the G-buffer")
-        return GBuffer(samples[..., 0], samples[..., 1], samples[..., 2].astype(np.int32), samples[..., 3])
+        strays, at = Strays.of(samples, drawn)
+        if len(strays.patch):
+            samples, drawn = samples.copy(), drawn.copy()
+            samples[at], drawn[at] = self._settled(strays, samples[at], *self._drawn)
+        return GBuffer(samples[..., 0], samples[..., 1], samples[..., 2].astype(np.int32), samples[..., 3], drawn)
 
     def capture(self, view: View, inner: Inner, outer: Outer) -> Triangles:
         """The triangles that the tessellator makes for these levels, with their clip-space positions.
 
         As when drawing, without pieces of patches that are off the screen.
         """
-        parts = self._parts(view, inner, outer)
-        context = self.device.context
-        expected = int(triangle_counts(parts.inner, parts.outer, self.spacing).sum())
-        counter = context.buffer(np.zeros(1, np.uint32).tobytes())
-        records = context.buffer(reserve=4 * _RECORD * max(1, expected))
-        counter.bind_to_storage_buffer(2)
-        records.bind_to_storage_buffer(3)
-        self._framebuffer(view).use()
-        context.enable_only(moderngl.RASTERIZER_DISCARD)
-        self._render("capture", capture_program, view, parts)
-        context.enable_only(moderngl.NOTHING)
-        count = int(np.frombuffer(counter.read(), np.uint32)[0])
-        self.device.check_error("capturing triangles")
-        if count != expected:
-            raise OpenGLError(f"{self.device.renderer} made {count} triangles where OpenGL prescribes {expected}")
-        data = np.frombuffer(records.read(), np.float32).reshape(-1, _RECORD)[:count]
-        counter.release()
-        records.release()
-        vertices = data[:, :18].reshape(-1, 3, 6)
-        return Triangles(data[:, 18].astype(np.int32), vertices[..., :2], vertices[..., 2:])
+        return self._captured(view, *self._parts(view, inner, outer))
 
     def release(self) -> None:
         """Free what lies on the device; the renderer cannot draw any more."""
@@ -180,17 +182,52 @@ class Renderer:
     def _to_clip(self, view: View) -> np.ndarray:
         return np.asarray(view.world_to_clip, np.float64) @ self._to_world
 
-    def _parts(self, view: View, inner: Inner, outer: Outer) -> Pieces:
-        """What is to be drawn."""
+    def _settled(
+        self, strays: Strays, samples: np.ndarray, view: View, parts: Pieces, in_pieces: bool
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Their samples with the parameters of the nearest points of their triangles, and where these are drawn."""
+        corners = strays.triangles(parts, lambda some: self._captured(view, some, in_pieces))
+        place = nearest_drawn(*corners, strays.place).astype(np.float32)
+        screen = drawn_at(*corners, place.astype(float)) * [0.5 * view.width, 0.5 * view.height]
+        return np.column_stack([place, strays.patch, samples[:, 3]]), screen - strays.centre
+
+    def _captured(self, view: View, parts: Pieces, in_pieces: bool) -> Triangles:
+        """Triangles of pieces, their vertices placed as in a picture that has cut patches in it, or none."""
+        context = self.device.context
+        expected = int(triangle_counts(parts.inner, parts.outer, self.spacing).sum())
+        counter = context.buffer(np.zeros(1, np.uint32).tobytes())
+        records = context.buffer(reserve=4 * _RECORD * max(1, expected))
+        counter.bind_to_storage_buffer(2)
+        records.bind_to_storage_buffer(3)
+        self._framebuffer(view).use()
+        context.enable_only(moderngl.RASTERIZER_DISCARD)
+        self._render("capture", view, parts, in_pieces)
+        context.enable_only(moderngl.NOTHING)
+        count = int(np.frombuffer(counter.read(), np.uint32)[0])
+        self.device.check_error("capturing triangles")
+        if count != expected:
+            raise OpenGLError(f"{self.device.renderer} made {count} triangles where OpenGL prescribes {expected}")
+        data = np.frombuffer(records.read(), np.float32).reshape(-1, _RECORD)[:count]
+        counter.release()
+        records.release()
+        vertices = data[:, :18].reshape(-1, 3, 6)
+        return Triangles(data[:, 18].astype(np.int32), vertices[..., :2], vertices[..., 2:])
+
+    def _parts(self, view: View, inner: Inner, outer: Outer) -> tuple[Pieces, bool]:
+        """What is to be drawn, and whether patches are cut, seen or not: then all vertices are placed at k/n."""
         self.device.check_thread()
         inner, outer = self._checked_levels(inner, outer)
-        return without_unseen(Pieces.of(inner, outer, self.spacing), self._sent, self._to_clip(view))
+        parts = Pieces.of(inner, outer, self.spacing)
+        in_pieces = bool(np.any(parts.along > 1))
+        return without_unseen(parts, self._sent, self._to_clip(view)), in_pieces
 
-    def _render(self, name: str, make_program: Any, view: View, parts: Pieces) -> None:
+    def _render(self, name: str, view: View, parts: Pieces, in_pieces: bool) -> None:
         self._make_room(len(parts.patch))
-        array = self._array(name, make_program)
+        array = self._array(name)
         array.program["to_clip"].write(self._to_clip(view).astype(np.float32).T.tobytes())
-        array.program["in_pieces"] = bool(np.any(parts.along > 1))
+        array.program["in_pieces"] = in_pieces
+        if name == "draw":
+            array.program["half_picture"] = (0.5 * view.width, 0.5 * view.height)
         records = np.zeros((len(parts.patch), _PIECE), np.float32)
         records[:, :11] = np.column_stack(parts)
         self._pieces.write(records.tobytes())
@@ -218,9 +255,10 @@ class Renderer:
                 thing.release()
         self._pieces = self._numbers = None
 
-    def _array(self, name: str, make_program: Any) -> Any:
+    def _array(self, name: str) -> Any:
         if name not in self._arrays:
-            program = make_program(self.device.context, self._shape, self.spacing, self._owners is not None)
+            owned = self._owners is not None
+            program = _PROGRAMS[name](self.device.context, self._shape, self.spacing, owned)
             self._arrays[name] = self.device.context.vertex_array(program, [(self._numbers, "i", "number")])
         return self._arrays[name]
 
@@ -235,8 +273,8 @@ class Renderer:
                     f" its limit is {self.device.largest_picture} pixels a side"
                 )
             try:
-                colour = context.renderbuffer(size, 4, dtype="f4")
-                self._target = (size, context.framebuffer([colour], context.depth_renderbuffer(size)))
+                colours = [context.renderbuffer(size, components, dtype="f4") for components in _ATTACHMENTS]
+                self._target = (size, context.framebuffer(colours, context.depth_renderbuffer(size)))
             except moderngl.Error:
                 _ = context.error  # OpenGL remembers that it ran out of memory
                 raise InputError(

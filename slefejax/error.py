@@ -11,14 +11,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from slefejax import layout
 from slefejax.bezier import evaluate_patch
 from slefejax.errors import InputError
 from slefejax.view import View, homogeneous
 
-_OUTSIDE = 1e-3  # of a parameter; the rasteriser's own rounding is a hundredth of that
+SLIPPED = 1 / 16  # pixels
 
 
 def pixel_error(
@@ -27,11 +27,13 @@ def pixel_error(
     u: Float[np.ndarray, "height width"],
     v: Float[np.ndarray, "height width"],
     patch: Int[np.ndarray, "height width"],
+    drawn: Float[np.ndarray, "height width 2"] | None = None,
 ) -> Float[np.ndarray, "height width"]:
-    """The parametric error of every pixel: max(|dx|, |dy|) between P(p(u, v)) and the pixel's centre (2012, eq 1).
+    """The parametric error of every pixel: max(|dx|, |dy|) between P(p(u, v)) and where it was drawn (2012, eq 1).
 
     patches     : control points, ``(patches, du+1, dv+1, 3)`` or, rational, 4 at the end
     u, v, patch : what the renderer found at each pixel centre, row 0 at the bottom; patch -1 where nothing is
+    drawn       : where it drew that point, in pixels from the pixel's centre; None: at the centre
     returns     : pixels, float64; NaN where nothing is, infinite where the exact point is not in front of the camera
 
     Colours in the papers' pictures: grey up to 0.1 pixel, blue up to 0.5, green up to 1, red above.
@@ -40,21 +42,37 @@ def pixel_error(
     error = np.full(patch.shape, np.nan)
     if rows.size:
         at = (rows, columns)
+        place = np.stack([columns, rows], axis=1) + 0.5
+        if drawn is not None:
+            place += drawn[at]
         screen = surface_on_screen(patches, view, patch[at], u[at], v[at])
-        distance = np.maximum(np.abs(screen[:, 0] - (columns + 0.5)), np.abs(screen[:, 1] - (rows + 0.5)))
+        distance = np.max(np.abs(screen[:, :2] - place), axis=1)
         error[at] = np.where(np.isnan(distance), np.inf, distance)
     return error
 
 
-def drawn_outside(
-    u: Float[np.ndarray, "height width"], v: Float[np.ndarray, "height width"], patch: Int[np.ndarray, "height width"]
-) -> Bool[np.ndarray, "height width"]:
-    """Pixels with parameters from outside of the patch, 0 to 1, by more than a thousandth: slips of the driver.
+def drawn_error(
+    patches: Float[np.ndarray, "patches nu nv dim"], view: View, seen: Any
+) -> Float[np.ndarray, "height width"]:
+    """``pixel_error`` of what was drawn, and where: the error of its triangles, whatever the driver did beside it.
 
-    No triangle has such a point; drivers make them of triangles that are seen edge on, thinner than the grid that they
-    snap corners to.
+    seen : a ``slefejax.gpu.GBuffer``, or anything with ``.u``, ``.v`` and ``.patch``, and ``.drawn`` unless every pixel
+           shows what was drawn at its centre
+
+    From the pixel's centre the exact point is no further than ``drawn_error`` and ``slip`` together.
     """
-    return (patch >= 0) & (np.maximum(np.abs(u - 0.5), np.abs(v - 0.5)) > 0.5 + _OUTSIDE)
+    return pixel_error(patches, view, seen.u, seen.v, seen.patch, getattr(seen, "drawn", None))
+
+
+def slip(seen: Any) -> Float[np.ndarray, "height width"]:
+    """How far from its centre a pixel's point was drawn: max(|dx|, |dy|) in pixels, NaN where nothing is.
+
+    seen : with ``.patch`` and ``.drawn``, such as a ``slefejax.gpu.GBuffer``
+
+    That is the driver's doing. Float32 makes it some ten thousandths of a pixel; it is more in triangles that are seen
+    edge on, thinner than the grid that drivers snap corners to. A pixel whose slip is above ``SLIPPED`` has slipped.
+    """
+    return np.where(seen.patch >= 0, np.max(np.abs(seen.drawn), axis=-1).astype(np.float64), np.nan)
 
 
 def surface_on_screen(

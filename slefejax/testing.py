@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from slefejax.error import pixel_error
+from slefejax.error import drawn_error
 from slefejax.view import View
 
 
@@ -53,12 +53,12 @@ def assert_pixel_accurate(patches: Any, view: View, seen: Any, *, tolerance: flo
 
     patches : control points ``(patches, du+1, dv+1, 3)``, or 4 at the end if rational
     seen    : what was rendered from them in this view, a ``slefejax.gpu.GBuffer`` or anything with ``.u``, ``.v`` and
-              ``.patch``, each ``(height, width)``
+              ``.patch``, each ``(height, width)``, and ``.drawn`` if not all of it was drawn at the pixels' centres
     share   : of the covered pixels may be worse
 
     Raises AssertionError that names the worst pixel, its patch and parameters, and how many are too far off.
     """
-    error = pixel_error(np.asarray(patches), view, seen.u, seen.v, seen.patch)
+    error = drawn_error(np.asarray(patches), view, seen)
     covered = np.count_nonzero(np.isfinite(error))
     assert covered, "the picture is empty: no pixel is covered, so none is accurate"
     bad = np.count_nonzero(error > tolerance)

@@ -48,8 +48,9 @@ def test_peers_give_the_factors_of_the_library(setting):
 def test_peer_of_the_error_image(setting, rng):
     u, v = rng.uniform(size=(2, 30, 40)).astype(np.float32)
     patch = rng.integers(-1, setting.count, (30, 40))
-    own = pixel_error(setting.patches, setting.view, u, v, patch)
-    theirs = peers.plain_pixel_error(setting.patches, np.asarray(setting.view.world_to_screen), u, v, patch)
+    drawn = rng.normal(size=(30, 40, 2)).astype(np.float32)
+    own = pixel_error(setting.patches, setting.view, u, v, patch, drawn)
+    theirs = peers.plain_pixel_error(setting.patches, np.asarray(setting.view.world_to_screen), u, v, patch, drawn)
     np.testing.assert_allclose(own, theirs, rtol=1e-9)
 
 

@@ -17,7 +17,7 @@ from slefejax.figures.error_image import error_colours
 SMALL = ["--size", "180x120"]
 COLUMNS = {
     *("scale", "method", "segments", "patches", "triangles", "covered_pixels", "share_above_0.1", "share_above_0.5"),
-    *("share_above_1", "max_error_px", "drawn_outside", "predict_ms", "render_ms"),
+    *("share_above_1", "max_error_px", "slipped_pixels", "max_slip_px", "predict_ms", "render_ms"),
 }
 
 

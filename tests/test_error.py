@@ -1,11 +1,15 @@
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import jax
 import numpy as np
 import pytest
 
 from slefejax import Camera, InputError, View
-from slefejax.error import pixel_error, surface_on_screen
+from slefejax.error import SLIPPED, drawn_error, pixel_error, slip, surface_on_screen
+from slefejax.experiments.minimality import error_shares, slips
 
 
 def bernstein3(t):
@@ -47,6 +51,33 @@ def test_error_is_the_larger_coordinate_and_nan_where_nothing_is():
     assert np.all(np.isnan(pixel_error(square, view, u, v, patch * 0 - 1)))
 
 
+def test_error_from_where_it_was_drawn_and_slip_apart():
+    """The point belongs 0.3 px to the right of the centre and was drawn 0.25 px to the left, and 1/16 px above."""
+    square = np.array([[[0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0]]], float)[None]
+    view = View(Camera.orthographic((0.5, 0.5, 5), (0.5, 0.5, 0), up=(0, 1, 0), height=1.0), 4, 4)
+    u, v = np.meshgrid((np.arange(4) + 0.5) / 4, (np.arange(4) + 0.5) / 4)
+    patch, drawn = np.zeros((4, 4), int), np.zeros((4, 4, 2))
+    patch[3, 3] = -1
+    u[2, 1] += 0.3 / 4
+    drawn[2, 1] = -0.25, 1 / 16
+    seen: Any = SimpleNamespace(u=u, v=v, patch=patch, drawn=drawn)
+    assert pixel_error(square, view, u, v, patch)[2, 1] == pytest.approx(0.3, abs=1e-12)
+    error = drawn_error(square, view, seen)
+    assert error[2, 1] == pytest.approx(0.55, abs=1e-12)
+    assert np.nansum(error) == pytest.approx(0.55, abs=1e-12)
+    assert np.array_equal(error, pixel_error(square, view, u, v, patch, drawn), equal_nan=True)
+    assert slip(seen)[2, 1] == 0.25
+    assert np.nansum(slip(seen)) == 0.25
+    assert np.isnan(slip(seen)[3, 3])
+    assert slips(seen) == {"slipped_pixels": 1, "max_slip_px": 0.25}
+    drawn[2, 1] = SLIPPED, -SLIPPED
+    assert slips(seen)["slipped_pixels"] == 0, "above, not from on"
+    row = error_shares(drawn_error(square, view, seen), seen)
+    assert (row["covered_pixels"], row["share_above_0.1"]) == (15, 1 / 15)
+    patch[:] = -1
+    assert slips(seen) == {"slipped_pixels": 0, "max_slip_px": 0.0}
+
+
 def test_points_behind_the_camera_are_infinitely_wrong():
     square = np.array([[[0, -9, 0], [0, -9, 1]], [[1, -9, 0], [1, -9, 1]]], float)[None]
     view = View(Camera.look_at((0, -5, 0), (0, 0, 0)), 2, 2)
@@ -76,7 +107,7 @@ def test_twist_as_measured(device, side, error):
     one = np.ones((1, 6), int)
     renderer = Renderer(quad, device)
     seen = renderer.draw(view, one[:, :2], one[:, 2:])
-    worst = np.nanmax(pixel_error(quad, view, seen.u, seen.v, seen.patch))
+    worst = np.nanmax(drawn_error(quad, view, seen))
     # the worst point need not be a pixel's centre, and the renderer has its floor
     assert worst == pytest.approx(error, rel=0.01)
 
@@ -93,7 +124,7 @@ def test_bad_pixels_vanish_as_factors_grow(device, teapot, main_view):
         scaled = factors.scaled(scale)
         # each patch's own level on its edges: transition rings have errors of their own
         seen = renderer.draw(main_view, scaled.inner, np.repeat(scaled.levels[:, None], 4, axis=1))
-        error = pixel_error(teapot.patches(), main_view, seen.u, seen.v, seen.patch)
+        error = drawn_error(teapot.patches(), main_view, seen)
         shares.append(np.mean(error[np.isfinite(error)] > 0.5))
     assert shares == sorted(shares, reverse=True)
     assert shares[0] > 0.5

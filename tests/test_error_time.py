@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from slefejax import Camera, View
+from slefejax.error import SLIPPED
 from slefejax.experiments import error_time
 from slefejax.experiments.cli import main
 from slefejax.experiments.options import cameras_around
@@ -33,6 +34,7 @@ def test_run(device, capsys, monkeypatch):
         assert row["share_area_below_0.5"] <= row["share_area_below_20"] <= 1
         # pixels see less than the whole domain; edges that share levels see more
         assert row["max_error_px"] <= row["drawn_sup_error_px"] + 0.01
+        assert (row["slipped_pixels"] > 0) == (row["max_slip_px"] > SLIPPED)
         assert row["predict_ms"] > 0
         assert row["render_ms"] > 0
         assert row["largest_ring_ratio"] >= 1 - 1e-3
@@ -42,6 +44,10 @@ def test_run(device, capsys, monkeypatch):
         if row["method"] == "filip":
             assert row["sup_error_px"] <= 0.5
             assert row["factor_over_minimal_median"] >= 1
+    for row in result["rows"]:
+        own = [other for other in result["table"] if other["method_name"] == row["method"]]
+        assert row["slipped_pixels"] == max(other["slipped_pixels"] for other in own)
+        assert row["max_slip_px"] == max(other["max_slip_px"] for other in own)
     pictures = {"error_against_time.png", "pixels_against_triangles.png", "triangle_sizes.png", "side_by_side.png"}
     assert pictures | {"table.csv", "run.json", "error_filip.png"} <= set(os.listdir(result["out"]))
 

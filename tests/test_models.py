@@ -9,7 +9,7 @@ from slefejax import InputError, View, load, sampled_error, tessellation_factors
 from slefejax.conversion.acc import acc_patches
 from slefejax.conversion.tangents import tangent_tables
 from slefejax.edges import edge_maxima
-from slefejax.error import pixel_error
+from slefejax.error import SLIPPED, drawn_error, slip
 from slefejax.experiments.options import cameras_around
 from slefejax.tessellator import HIGHEST_LEVEL
 
@@ -21,10 +21,7 @@ MESHES = [
     *("bigguy", "monsterfrog", "spot_control_mesh", "suzanne", "makehuman/base"),
 ]
 SPLINES = ("usd_bendy_nurbs.usda", "rational_torus.bv", "teapot.bpt")
-# Square pixels: of a triangle seen edge on that software OpenGL, which snaps corners to 1/256 of a pixel and
-# interpolates in float32, may draw with parameters from outside of it; its true error is that of the captured one.
-SLIVER = 0.1
-FLOOR = 0.01  # pixels: what sub-pixel snapping and float32 interpolation put under a rendered error
+FLOOR = 1e-3  # pixels: what float32 on the device puts under the error of what is drawn
 
 
 def open_triangle_edges(found, free):
@@ -47,16 +44,6 @@ def open_triangle_edges(found, free):
     return np.flatnonzero((balance[edge.ravel()] != 0) & ~lies_on)
 
 
-def smallest_area(found, patch, pixel, view):
-    """Square pixels: the smallest triangle of a patch whose box reaches to within a pixel of a place."""
-    clip = found.clip[found.patch == patch].astype(float)
-    corners = (clip[..., :2] / clip[..., 3:] + 1.0) / 2.0 * [view.width, view.height]
-    near = np.all((corners.min(axis=1) < np.add(pixel, 1)) & (corners.max(axis=1) > np.subtract(pixel, 1)), axis=1)
-    a, b, c = np.moveaxis(corners[near], 1, 0)
-    first, second = b - a, c - a
-    return np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).min(initial=np.inf) / 2
-
-
 def free_edges(scene):
     return np.bincount(scene.edge_numbers.ravel())[scene.edge_numbers] == 1
 
@@ -67,12 +54,10 @@ def check_view(scene, view, renderer):
     assert np.max(inner, initial=1) <= HIGHEST_LEVEL
     seen = renderer.draw(view, inner, edges)
     found = renderer.capture(view, inner, edges)
-    error = pixel_error(scene.patches(), view, seen.u, seen.v, seen.patch)
+    error = drawn_error(scene.patches(), view, seen)
     assert np.count_nonzero(np.isfinite(error)) > 100
-    bad = np.argwhere(np.nan_to_num(error) > 0.5 + FLOOR)
-    assert len(bad) < 10
-    for row, column in bad:
-        assert smallest_area(found, seen.patch[row, column], (column + 0.5, row + 0.5), view) < SLIVER
+    assert np.nanmax(error) <= 0.5 + FLOOR
+    assert np.count_nonzero(slip(seen) > SLIPPED) < 50
     if np.all(np.asarray(factors.factor) > 0):  # else the surface ends where patches are left out
         assert not open_triangle_edges(found, free_edges(scene)).size
     assert triangle_error(scene.patches(), found, view).max() <= 0.5

@@ -19,7 +19,7 @@ from slefejax import (
     with_pieces,
 )
 from slefejax.edges import edge_maxima, shared_edges
-from slefejax.error import pixel_error
+from slefejax.error import drawn_error
 from slefejax.rings import direct3d11, safe_levels
 from slefejax.tessellator import HIGHEST_LEVEL, MOST_LEVEL, OWN_AXIS, Pieces, pieces, pieces_along, triangle_counts
 from tests.test_gpu import above, lattice, open_edges
@@ -171,7 +171,7 @@ def test_a_teapot_zoomed_until_factors_pass_500(device, teapot):
     assert triangle_error(patches, found, view).max() <= 0.5
     assert sampled_error(patches, inner, view).max() <= 0.5
     seen = renderer.draw(view, inner, outer)
-    assert np.nanmax(pixel_error(patches, view, seen.u, seen.v, seen.patch)) <= 0.5
+    assert np.nanmax(drawn_error(patches, view, seen)) <= 0.5
     # edges that are in the picture
     numbers, met = teapot.edge_numbers, 0
     w = found.clip[..., 3:]

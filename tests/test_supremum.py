@@ -229,7 +229,7 @@ def test_bad_triangles(triangles, says):
 @pytest.mark.parametrize("eye", [(4.5, -6.0, 4.0), (0.5, -5.0, 7.0), (-6.0, 2.0, 1.0), (2.6, -2.2, 2.6)])
 def test_rendered_pixels_agree_with_the_captured_triangles(device, teapot, edges, eye):
     """No pixel errs more than the supremum of its patch's triangles and the renderer's floor; the largest come near."""
-    from slefejax.error import pixel_error
+    from slefejax.error import drawn_error
     from slefejax.gpu import Renderer
 
     view = View(Camera.look_at(eye, (0, 0, 1.2)), 1440, 900)
@@ -238,7 +238,7 @@ def test_rendered_pixels_agree_with_the_captured_triangles(device, teapot, edges
     renderer = Renderer(teapot.patches(), device)
     found = triangle_error(teapot.patches(), renderer.capture(view, factors.inner, outer), view)
     seen = renderer.draw(view, factors.inner, outer)
-    error = pixel_error(teapot.patches(), view, seen.u, seen.v, seen.patch)
+    error = drawn_error(teapot.patches(), view, seen)
     largest = np.array([np.nanmax(np.where(seen.patch == p, error, 0.0)) for p in range(32)])
     assert np.all(largest <= found + 0.01)  # sub-pixel snapping, 1/256 px, and float32
     shown = largest > 0
@@ -249,7 +249,7 @@ def test_rendered_pixels_agree_with_the_captured_triangles(device, teapot, edges
 @pytest.mark.parametrize("degree", [1, 2, 4])
 def test_rendered_pixels_agree_on_other_surfaces(device, rng, degree):
     """Patches of other degrees, laid in all ways, with random levels, in perspective."""
-    from slefejax.error import pixel_error
+    from slefejax.error import drawn_error
     from slefejax.gpu import Renderer
     from tests.test_gpu import lattice, random_levels
 
@@ -259,7 +259,7 @@ def test_rendered_pixels_agree_on_other_surfaces(device, rng, degree):
     renderer = Renderer(patches, device)
     found = triangle_error(patches, renderer.capture(view, inner, outer), view)
     seen = renderer.draw(view, inner, outer)
-    error = pixel_error(patches, view, seen.u, seen.v, seen.patch)
+    error = drawn_error(patches, view, seen)
     largest = np.array([np.nanmax(np.where(seen.patch == p, error, 0.0)) for p in range(len(patches))])
     assert np.all(largest <= found + 0.01)
     shown = found > 0.05

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 
 from slefejax import tessellation_factors, worst_points
-from slefejax.error import pixel_error
+from slefejax.error import drawn_error
 from slefejax.experiments.options import cameras_around
 from slefejax.gpu import Renderer
 
@@ -27,7 +27,7 @@ def test_a_hundred_cameras_need_no_more_programs_than_the_first_few(teapot, devi
             for method in ("slefe", "certified"):
                 factors = tessellation_factors(patches, view, method, edge_numbers=teapot.edge_numbers)
                 seen = renderer.draw(view, factors.inner, factors.edges)
-                error = pixel_error(patches, view, seen.u, seen.v, seen.patch)
+                error = drawn_error(patches, view, seen)
                 assert np.isfinite(error).any()
             worst_points(patches[:3], factors.levels[:3], view)
             programs.append(events.count(_COMPILED))

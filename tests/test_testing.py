@@ -49,5 +49,8 @@ def test_pixels():
         assert_pixel_accurate(square, view, seen)
     assert_pixel_accurate(square, view, seen, share=0.1)
     assert_pixel_accurate(square, view, seen, tolerance=0.9)
+    seen.drawn = np.zeros((4, 4, 2))
+    seen.drawn[2, 1] = 0.8, 0
+    assert_pixel_accurate(square, view, seen)
     with pytest.raises(AssertionError, match="empty"):
         assert_pixel_accurate(square, view, SimpleNamespace(u=u, v=v, patch=np.full((4, 4), -1)))
