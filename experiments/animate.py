@@ -82,6 +82,8 @@ class Animate:
             out = run.finish(rows, record)
         title = f"{scene.name}: {len(scene.patches()):,} patches in {len(rows)} frames at {self.camera.size}"
         notes = (*scene.notes, *frames.notes(scene), *(f"left out: {what}" for what in left_out))
+        if self.prediction.method == "certified" and self.spacing != "equal":
+            notes += ("levels with fractional spacing are not proved: the certificate is for equal spacing",)
         more = (("where the time of a frame goes, in milliseconds, and how many frames a second that makes", modes),)
         return Report(scene.name, out, rows, title, notes, {"modes": modes}, self.output.json, more=more, shown=_SHOWN)
 
@@ -159,6 +161,7 @@ class _Film:
             "time": float(self.frames.times[frame]),
             "method": self.options.prediction.method,
             "spacing": self.options.spacing,
+            "proved": self.options.prediction.method == "certified" and self.options.spacing == "equal",
             "patches": len(own.factor),
             "visible_patches": int(np.sum(own.factor > 0)),
             "sum_of_factors": float(own.factor.sum()),

@@ -46,6 +46,7 @@ def test_animate(device, capsys, walker):
     assert rows[0]["pop_max_px"] is None
     for row in rows:
         assert row["patches"] == row["visible_patches"] == 2496
+        assert row["proved"] == (row["method"] == "certified")
         assert row["share_above_0.5"] < 0.02
         assert row["boxes_ms"] > 0
     assert 0 < rows[1]["pop_p99_px"] <= rows[1]["pop_max_px"] < 1.5
@@ -87,7 +88,7 @@ def test_spacing(device, capsys, spacing):
     result = run_json(
         capsys, "animate", "walker", *SMALL[:2], "--frames", "4:6:1", "--seconds", "0", *FAST, "--spacing", spacing
     )
-    assert {row["spacing"] for row in result["rows"]} == {spacing}
+    assert {(row["spacing"], row["proved"]) for row in result["rows"]} == {(spacing, False)}
     assert result["rows"][1]["changed_share"] < 0.05
     assert max(row["max_error_px"] for row in result["rows"]) < 1.0
 
