@@ -86,7 +86,7 @@ def test_no_pixel_shows_the_far_side(device, scenes, tmp_path):
     far = []
     for scene in (scenes["polynomial"], old):
         patches = scene.patches()
-        factors = tessellation_factors(patches, view, edge_numbers=scene.edge_numbers)
+        factors = tessellation_factors(patches, view, tiles=1, edge_numbers=scene.edge_numbers)
         renderer = Renderer(patches, device)
         seen = renderer.draw(view, factors.inner, factors.edges)
         shown = seen.patch >= 0

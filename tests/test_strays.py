@@ -95,7 +95,9 @@ def test_triangles_without_area_get_some():
 
 
 @pytest.mark.gl
-@pytest.mark.parametrize(("scheme", "camera"), [("pinched", 9), ("catmull-clark+acc", 0)])
+@pytest.mark.parametrize(
+    ("scheme", "camera"), [("pinched", 9), pytest.param("catmull-clark+acc", 0, marks=pytest.mark.slow)]
+)
 def test_a_sphere_of_triangles(device, scheme, camera):
     """In one of its views a pixel's interpolated parameters are 1.4 px off, of triangles within 0.41."""
     sphere = trimesh.creation.icosphere(subdivisions=1)
@@ -246,6 +248,7 @@ def test_a_picture_is_read_before_patches_move(device, teapot, main_view):
 
 
 @pytest.mark.gl
+@pytest.mark.slow
 def test_certify_has_the_same_rule(device, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     trimesh.creation.icosphere(subdivisions=1).export("sphere.obj")
