@@ -182,10 +182,14 @@ def _root(excess: Callable[[Any, Any], Any], low: float, high: float, patches: A
     import optimistix as optx  # slow to import
 
     solver = optx.Bisection(rtol=0.0, atol=1e-3, flip=True)
+
+    def double(log: Any, patches: Any) -> Any:
+        return excess(log, patches).astype(log.dtype)  # which patches in single precision do not make
+
     with jax.enable_x64(True):
         ends = {"lower": jnp.asarray(low), "upper": jnp.asarray(high)}
         found = optx.root_find(
-            excess, solver, jnp.asarray(0.5 * (low + high)), args=patches, options=ends, max_steps=60, throw=False
+            double, solver, jnp.asarray(0.5 * (low + high)), args=patches, options=ends, max_steps=60, throw=False
         )
         return float(found.value)
 

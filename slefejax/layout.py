@@ -156,7 +156,8 @@ def over_chunks(kernel: Callable[..., Any], packed: Any, *arguments: Any, apart:
 
 def once(values: Any) -> Any:
     """The same; the compiler makes them one time, instead of again inside of everything that uses them."""
-    return jax.lax.optimization_barrier(values)
+    # one a leaf: a barrier over values of which some are not differentiated fails from JAX 0.11.2 on
+    return jax.tree.map(jax.lax.optimization_barrier, values)
 
 
 _passes: list[Pass] = []
