@@ -33,7 +33,7 @@ def proved_levels(certificate: Certificate, inner: Pairs, edges: Numbers, number
     while changed.any():
         _check_drawable(inner, edges)
         before = inner, edges
-        in_pieces = bool(np.any(pieces_along(inner, edges) > 1))
+        in_pieces = was_in_pieces = bool(np.any(pieces_along(inner, edges) > 1))
         patch = np.flatnonzero(changed)
         patch = patch[~np.all(inner[patch] >= safe[patch], axis=1)]
         wide = patch[~certificate.grids_keep(patch, acting(inner[patch], edges[patch]), in_pieces)]
@@ -43,10 +43,11 @@ def proved_levels(certificate: Certificate, inner: Pairs, edges: Numbers, number
             inner[wide] = np.maximum(inner[wide], safe[wide])
             inner, edges = with_pieces(inner, edges, numbers)
         patch, side = np.nonzero(np.broadcast_to(changed[:, None], edges.shape))
-        failing = ~_rings_keep(certificate, inner, edges, patch, side)
+        in_pieces |= bool(np.any(pieces_along(inner, edges) > 1))
+        failing = ~_rings_keep(certificate, inner, edges, patch, side, in_pieces)
         inner, edges = with_better_rings(inner, edges, numbers, patch[failing], side[failing], certificate.pattern)
         changed = np.any(inner != before[0], axis=1) | np.any(edges != before[1], axis=1)
-        if not in_pieces and np.any(pieces_along(inner, edges) > 1) and certificate.proof is not None:
+        if not was_in_pieces and np.any(pieces_along(inner, edges) > 1):
             changed = np.all(edges > 0, axis=1)  # vertices of all patches are placed otherwise
     return inner, edges
 
@@ -58,14 +59,14 @@ def acting(inner: Pairs, edges: Numbers) -> Pairs:
 
 
 def _rings_keep(
-    certificate: Certificate, inner: Pairs, edges: Numbers, patch: np.ndarray, side: np.ndarray
+    certificate: Certificate, inner: Pairs, edges: Numbers, patch: np.ndarray, side: np.ndarray, in_pieces: bool
 ) -> Bool[np.ndarray, "n"]:
     """Whether rings keep the tolerance: those that are part of the grid, and those whose triangles are short enough."""
     holds = np.ones(len(patch), bool)
     ringed, n, m, along = ringed_sides(inner, edges, patch, side)
     open_ones = np.flatnonzero(ringed & (n != m))
-    # a little more: in a picture with patches in pieces all vertices are placed better than the pattern says
-    length = (certificate.pattern.reach[n, m] + 2.0 / ONE) / along
+    reach = certificate.pattern.fine_reach if in_pieces else certificate.pattern.reach
+    length = (reach[n, m] + 2.0 / ONE) / along  # a little more, for what single precision makes of them
     for start in range(0, len(open_ones), _BLOCK):
         block = open_ones[start : start + _BLOCK]
         for which in range(4):

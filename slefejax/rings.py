@@ -57,6 +57,17 @@ class Pattern:
         widths = np.diff(self.points, axis=1)
         return np.where(widths > 0, widths, 1.0).min(axis=1) / self.cell
 
+    @cached_property
+    def fine_reach(self) -> Float[np.ndarray, "n m"]:
+        """As ``reach``, in a picture with patches in pieces: vertices lie at k/n, whatever the lines' own rounding.
+
+        Lines of n cells are up to some units of 2^-16 beside k/n, vertices of an edge of m likewise.
+        """
+        n = np.arange(HIGHEST_LEVEL + 1)
+        beside = np.abs(self.points - np.minimum(n, n[:, None]) / np.maximum(n, 1)[:, None])
+        apart = np.where(n <= n[:, None], beside, 0.0).max(axis=1)
+        return self.reach + apart[:, None] + apart
+
     def cells(self, levels: Int[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
         """The widest cell for levels; past 64, where patches are cut and lines are placed with 24 bits, about 1/n."""
         drawn = self.cell[np.minimum(levels, HIGHEST_LEVEL)]

@@ -109,6 +109,12 @@ def test_ways_to_ask_hold(setting):
         assert attack(family, setting, 2)["violations"] == 0
 
 
+@pytest.mark.slow
+def test_rings_in_a_picture_with_patches_in_pieces():
+    """Vertices at k/n make the ring of 56 and 54 longer than those of 16 bits: 1.0048 times the tolerance."""
+    assert attack("cusp", "drawn-tiles-2", 104)["violations"] == 0
+
+
 def test_tolerances_leave_no_slack():
     """One of the patches needs just a whole number of cells."""
     setting, rng = SETTINGS["tiles-1"], rng_of("saddle", "tiles-1", 1)

@@ -12,6 +12,7 @@ import pytest
 from slefejax import layout, nets
 from slefejax.bezier import evaluate_patch
 from slefejax.certified import _CUBIC, _ROUNDING, Piece, Screen, _of_any_triangle, _of_half_cell, certified_factor
+from slefejax.direct3d11 import rings
 from slefejax.projection import Projection
 from slefejax.rings import direct3d11
 from slefejax.tessellator import GRID, HIGHEST_LEVEL, shares
@@ -162,6 +163,18 @@ def test_ends_of_the_part_of_the_picture(rng, offset):
             assert np.all(1.0 / (np.asarray(w) + w_sign * error * 2.0) <= np.asarray(piece.inverse) * (1 + 1e-15))
     exact = np.asarray(x) / np.asarray(w)
     assert np.all(high - low <= np.ptp(exact, axis=(0, 1)) + 8.0 * error * (4.0 + 12.0 * 2.0) / 0.45)
+
+
+def test_rings_whose_vertices_lie_at_k_over_n():
+    """In a picture with patches in pieces no triangle of a ring is longer than is assumed; as with 16 bits some are."""
+    pattern, levels = direct3d11(), np.arange(HIGHEST_LEVEL + 1)
+    n, m = (x.ravel() for x in np.meshgrid(levels[2:], levels[1:], indexing="ij"))
+    pair, corners = rings(n, m)
+    count = np.where(corners >= 0, m[pair, None], n[pair, None])
+    extent = np.ptp(shares(np.abs(corners), count) * GRID, axis=1)
+    assert np.all(extent <= pattern.fine_reach[n[pair], m[pair]] + GRID)
+    assert np.max(extent - pattern.reach[n[pair], m[pair]]) > 2e-4
+    assert np.max(pattern.fine_reach - pattern.reach) < 5e-4
 
 
 def test_lines_of_24_bits_lie_between_those_of_16():

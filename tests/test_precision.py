@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -28,7 +29,7 @@ def bent(offset: np.ndarray) -> tuple[np.ndarray, View]:
 def test_double_patches_far_away_while_jax_is_single(method):
     """The origin is taken off before anything is rounded to float32: the same factor as in double precision."""
     patches, view = bent(np.array([1e6, 0.0, 0.0]))
-    options = {"tiles": 1} if method == "certified" else {}
+    options: dict[str, Any] = {"tiles": 1} if method == "certified" else {}
     double = np.asarray(tessellation_factors(patches, view, method, **options).factor)
     with jax.enable_x64(False):
         found = tessellation_factors(patches, view, method, **options)
