@@ -179,19 +179,17 @@ class GltfFile:
 
     def _beside(self, uri: str, number: Any) -> bytes:
         """The file of that name in the folder of this one. Raises InputError for a name that leads out of it."""
-        name, folder = unquote(uri), self.path.parent
-        try:
-            found = (folder / name).resolve()
-            inside = found.is_relative_to(folder.resolve())
-        except (OSError, ValueError, RuntimeError):  # a name that no file can have, a link to itself
-            found, inside = folder, False
-        if _SCHEME.match(name) or not inside or (found.exists() and not found.is_file()):
+        found = _within(self.path.parent, unquote(uri))
+        if found is None:
             raise self.fail(
                 f"buffer {number} is to be read from {uri[:80]!r}, which is no file in this one's folder or below: copy"
                 " it there, or export a .glb"
             )
-        if found not in self._files:
-            self._files[found] = read_bytes(folder / name)
+        try:
+            if found not in self._files:
+                self._files[found] = read_bytes(found)
+        except InputError as error:
+            raise self.fail(f"buffer {number}: {error}") from None
         return self._files[found]
 
     def _decoded(self, uri: str, number: Any) -> bytes:
@@ -199,6 +197,16 @@ class GltfFile:
             return base64.b64decode(unquote(uri.partition(",")[2]), validate=True)
         except (binascii.Error, ValueError):
             raise self.fail(f"buffer {number} is not in base 64") from None
+
+
+def _within(folder: Path, name: str) -> Path | None:
+    """The file of that name, there or not, if it lies in the folder or below, links followed; otherwise None."""
+    try:
+        found = (folder / name).resolve()
+        inside = found.is_relative_to(folder.resolve()) and (found.is_file() or not found.exists())
+    except (OSError, ValueError, RuntimeError):  # a name that no file can have, a link to itself
+        return None
+    return found if inside and not _SCHEME.match(name) else None
 
 
 def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes | None]:

@@ -131,7 +131,8 @@ def placements(file: GltfFile, number: int, notes: list[str]) -> np.ndarray | No
         return None
     count = len(next(iter(parts.values())))
     if any(len(values) != count for values in parts.values()):
-        raise file.fail(f"{what} have different numbers of " + ", ".join(name.lower() for name in parts) + "s")
+        counts = ", ".join(f"{len(values)} {name.lower()}s" for name, values in parts.items())
+        raise file.fail(f"{what} have {counts}: there must be as many of each")
     if count > _MOST_COPIES:
         raise file.fail(f"{what} are {count:,}, more than {_MOST_COPIES:,}")
     found = np.tile(np.eye(4), (count, 1, 1))
