@@ -36,9 +36,10 @@ def read_gltf(path: Path, animation: Any = None) -> Content:
     """
     file = GltfFile.of(path)
     try:
-        return _content(file, animation)
-    except InputError:
-        raise
+        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite in the end is refused
+            return _content(file, animation)
+    except InputError as error:
+        raise error if str(path) in str(error) else file.fail(str(error)) from None
     except (KeyError, TypeError, IndexError, AttributeError, ValueError, OverflowError, MemoryError) as error:
         raise file.fail(f"it is not glTF as it should be ({type(error).__name__}: {error})") from None
 
@@ -56,12 +57,9 @@ def _content(file: GltfFile, animation: Any) -> Content:
         raise file.fail("there are no triangles in it" + "".join(f"; {note}" for note in notes))
     mesh = _joined(parts)
     keys, owners = keys_of(parts)
-    try:
-        skeleton = joints.skeleton() if bones else None
-        influences = influences_of(parts, len(skeleton.names)) if skeleton is not None else None
-        shapes = ShapeKeys.of(keys, mesh.vertex_count) if keys else None
-    except InputError as error:
-        raise file.fail(str(error)) from None
+    skeleton = joints.skeleton() if bones else None
+    influences = influences_of(parts, len(skeleton.names)) if skeleton is not None else None
+    shapes = ShapeKeys.of(keys, mesh.vertex_count) if keys else None
     if skeleton is None and shapes is None:
         return Content(mesh, up=Y_UP, notes=tuple(notes))
     weights = key_weights(file, nodes, owners)
