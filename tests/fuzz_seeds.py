@@ -11,7 +11,7 @@ import numpy as np
 
 from slefejax import load, save
 from slefejax.mesh import Mesh
-from tests.test_gltf import figure
+from tests.gltf_files import figure
 from tests.test_io import BV, OBJ, USD, nurbs_usd
 from tests.test_makehuman import folder
 from tests.test_pair import minimal, put

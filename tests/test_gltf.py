@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import struct
 from typing import Any
@@ -12,105 +11,9 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
-from slefejax import InputError, load
+from slefejax import InputError, Session, load
 from slefejax.io.gltf import read_gltf
-
-KINDS = {np.dtype("<f4"): 5126, np.dtype("<u2"): 5123, np.dtype("<u1"): 5121, np.dtype("<u4"): 5125}
-SHAPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
-
-
-class Writer:
-    """A small glTF file in the making."""
-
-    def __init__(self) -> None:
-        self.data = b""
-        self.views: list[dict] = []
-        self.accessors: list[dict] = []
-
-    def array(self, values: Any, dtype: str = "<f4", **more: Any) -> int:
-        values = np.asarray(values, dtype)
-        values = values.reshape(len(values), -1)
-        self.views.append({"buffer": 0, "byteOffset": len(self.data), "byteLength": values.nbytes})
-        self.data += values.tobytes() + bytes(-values.nbytes % 4)
-        kind, shape = KINDS[values.dtype], SHAPES[values.shape[1]]
-        self.accessors.append(
-            {"bufferView": len(self.views) - 1, "componentType": kind, "count": len(values), "type": shape, **more}
-        )
-        return len(self.accessors) - 1
-
-    def content(self, **parts: Any) -> dict:
-        uri = "data:application/octet-stream;base64," + base64.b64encode(self.data).decode()
-        buffers = [{"byteLength": len(self.data), "uri": uri}]
-        own = {"bufferViews": self.views, "accessors": self.accessors, "buffers": buffers}
-        return {"asset": {"version": "2.0"}, **own, **parts}
-
-
-def save(tmp_path, content, name="a.gltf"):
-    path = tmp_path / name
-    path.write_text(json.dumps(content))
-    return path
-
-
-TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
-FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
-
-
-def figure(rng, step="LINEAR") -> tuple[Writer, dict]:
-    """A tetrahedron with split corners, two bones, two targets; everything animated."""
-    writer = Writer()
-    corner = FACES.ravel()
-    positions = writer.array(TETRAHEDRON[corner])
-    targets = [rng.normal(size=(4, 3))[corner] for _ in range(2)]
-    joints = np.tile([0, 1, 0, 0], (12, 1))
-    weights = np.repeat(rng.uniform(0.1, 0.9, (4, 1)), 4, axis=1)[corner] * [1, 0, 0, 0]
-    weights[:, 1] = 1.0 - weights[:, 0]
-    binds = np.array([np.eye(4), np.eye(4)])
-    binds[:, :3, :3] = Rotation.random(2, rng=rng).as_matrix()
-    binds[:, :3, 3] = rng.normal(size=(2, 3))
-    attributes = {
-        "POSITION": positions,
-        "JOINTS_0": writer.array(joints, "<u1"),
-        "WEIGHTS_0": writer.array(weights),
-    }
-    primitive = {"attributes": attributes, "targets": [{"POSITION": writer.array(t)} for t in targets]}
-    times = np.array([0.5, 1.0, 2.0])
-    when = writer.array(times)
-    parts = 3 if step == "CUBICSPLINE" else 1
-    turns = rng.normal(size=(3 * parts, 4))
-    if parts == 3:
-        turns[[0, 2, 3, 5, 6, 8]] *= 0.2
-        turns[1::3] = [[0, 0, 0, 1], [0.3, 0, 0, 1], [0.4, 0.2, 0, 1]]
-    else:
-        turns /= np.linalg.norm(turns, axis=1, keepdims=True)
-    outputs = {
-        "rotation": (1, turns),
-        "translation": (2, rng.normal(size=(3 * parts, 3))),
-        "scale": (2, rng.uniform(0.5, 2.0, (3 * parts, 3))),
-        "weights": (3, rng.normal(size=(6 * parts, 1))),
-    }
-    samplers = [{"input": when, "output": writer.array(v), "interpolation": step} for _, v in outputs.values()]
-    channels = [{"sampler": k, "target": {"node": n, "path": p}} for k, (p, (n, _)) in enumerate(outputs.items())]
-    nodes = [
-        {"name": "root", "children": [1, 3], "translation": [0.0, 2.0, 0.0], "scale": [2.0, 2.0, 2.0]},
-        {"name": "hip", "children": [2], "rotation": [0.0, 0.6, 0.0, 0.8]},
-        {"name": "leg", "translation": [1.0, 0.0, 0.0]},
-        {"name": "body", "mesh": 0, "skin": 0, "translation": [9.0, 9.0, 9.0]},  # of a skinned mesh this is ignored
-    ]
-    skins = [{"joints": [1, 2], "inverseBindMatrices": writer.array(binds.swapaxes(1, 2).reshape(2, 16))}]
-    mesh = {"primitives": [primitive], "extras": {"targetNames": ["up", "down"]}, "weights": [0.25, 0.5]}
-    animations = [{"name": "go", "samplers": samplers, "channels": channels}]
-    content = writer.content(nodes=nodes, meshes=[mesh], skins=skins, animations=animations, scenes=[{"nodes": [0]}])
-    return writer, content
-
-
-def stored(writer: Writer, number: int) -> np.ndarray:
-    """An accessor's numbers, as float32 became of them."""
-    a = writer.accessors[number]
-    view = writer.views[a["bufferView"]]
-    dtype = {v: k for k, v in KINDS.items()}[a["componentType"]]
-    data = writer.data[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
-    values = np.frombuffer(data, dtype).reshape(a["count"], -1)
-    return values.astype(float) if dtype.kind == "f" else values
+from tests.gltf_files import FACES, TETRAHEDRON, Writer, figure, save, stored
 
 
 def value(times, values, kind, path, t):
@@ -132,11 +35,11 @@ def value(times, values, kind, path, t):
 
 
 def by_the_specification(writer, content, t):
-    """Positions of the twelve corners."""
+    """Positions of the twelve corners at a time, or without the animation if that is None."""
     nodes = [dict(n) for n in content["nodes"]]
     animation = content["animations"][0]
     weights = np.array(content["meshes"][0]["weights"])
-    for channel in animation["channels"]:
+    for channel in animation["channels"] if t is not None else ():
         sampler = animation["samplers"][channel["sampler"]]
         path = channel["target"]["path"]
         times, values = stored(writer, sampler["input"]).ravel(), stored(writer, sampler["output"])
@@ -192,6 +95,31 @@ def test_skins_and_targets_against_the_specification(tmp_path, rng, step):
         found, wanted = np.asarray(scene.vertices(t))[mesh.corners], by_the_specification(writer, content, t)
         order = [np.argmin(np.abs(wanted - p).sum(axis=1)) for p in found]
         np.testing.assert_allclose(found, wanted[order], atol=0.05)
+
+
+@pytest.mark.parametrize("moving", [True, False])
+def test_at_rest_it_stands_as_the_nodes_do(tmp_path, rng, moving):
+    """Skinned by the nodes as they are, targets with the weights of the mesh, whether there is an animation or not."""
+    writer, content = figure(rng)
+    wanted = by_the_specification(writer, content, None)
+    if not moving:
+        del content["animations"]
+    scene: Any = load(save(tmp_path, content))
+    assert (scene.rig.motion is not None) == moving
+    mesh = scene.conversion.mesh
+    found = np.asarray(scene.vertices())[mesh.corners]
+    order = [np.argmin(np.abs(wanted - p).sum(axis=1)) for p in found]
+    np.testing.assert_allclose(found, wanted[order], atol=1e-12)
+    corners = scene.patches()[:, [0, 3, 3], [0, 0, 3]]
+    limits = scene.conversion.patchwork.on_host(np.asarray(scene.vertices()))[:, [0, 3, 3], [0, 0, 3]]
+    np.testing.assert_allclose(corners, limits, atol=1e-13)
+    np.testing.assert_allclose(Session(scene, method="filip").patches, scene.patches(), atol=1e-13)
+    content["nodes"][3]["weights"] = [0.0, 1.0]  # the node's own come first
+    content["meshes"][0]["weights"] = [0.0, 1.0]
+    other: Any = load(save(tmp_path, content))
+    assert other.rig.rest.keys.tolist() == [0.0, 1.0]
+    if not moving:
+        np.testing.assert_allclose(other.vertices(other.rig.pose(keys={"up": 0.25, "down": 0.5})), scene.vertices())
 
 
 def test_the_fox_against_the_specification(models):
@@ -318,120 +246,3 @@ def test_strips_fans_sparse_and_interleaved(tmp_path):
     corners = found.mesh.vertices[found.mesh.corners].reshape(-1, 3, 3)
     wanted = [[grid[0], grid[2], grid[1]], [grid[2], grid[3], grid[1]], [grid[4], [2, 1, 7], grid[3]]]
     assert corners.tolist() == np.array(wanted).tolist()
-
-
-def broken(rng):
-    """(what is done to a whole file, what is said)."""
-
-    def put(*path_and_value):
-        *path, value = path_and_value
-
-        def change(content):
-            for key in path[:-1]:
-                content = content[key]
-            content[path[-1]] = value
-
-        return change
-
-    return [
-        (put("asset", "version", "1.0"), "is glTF 1.0: only version 2"),
-        (put("extensionsRequired", ["KHR_draco_mesh_compression"]), "requires the extension KHR_draco"),
-        (put("nodes", 2, "children", [0]), r"(node . is its own ancestor|has two parents)"),
-        (put("nodes", 2, "children", [7]), "nodes 7 does not exist: there are 4"),
-        (put("nodes", 2, "children", [3]), "node 3 has two parents, 0 and 2"),
-        (put("nodes", 3, "mesh", 4), "meshes 4 does not exist: there are 1"),
-        (put("nodes", 3, "skin", "x"), "skins 'x' is no number"),
-        (put("skins", 0, "joints", [1]), r"vertex 0 has a weight for joint 1, but there are 1"),
-        (put("skins", 0, "inverseBindMatrices", 0), "must have 16 components"),
-        (put("meshes", 0, "primitives", []), "there are no triangles in it"),
-        (put("meshes", 0, "primitives", 0, "attributes", {}), r"not glTF as it should be \(KeyError: 'POSITION'\)"),
-        (put("accessors", 0, "count", 10**6), "ends before its 1000000 elements do"),
-        (put("accessors", 0, "count", 10**7), "has 30,000,000 numbers, more than 20,000,000"),
-        (put("meshes", 0, "primitives", 0, "attributes", "JOINTS_0", 2), "whole numbers without a sign"),
-        (
-            put("nodes", 0, {"matrix": [1, 0, 0, 0, 1, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1], "children": [1, 3]}),
-            "has a shear",
-        ),
-        (put("buffers", 0, "uri", "a\0b"), "cannot be read"),
-        (put("accessors", 0, "count", -1), "needs a whole number as its count, not -1"),
-        (put("accessors", 0, "count", 11), "makes no whole|11 corners|has 12 rows for 11|12 offsets for 11"),
-        (put("bufferViews", 0, "byteOffset", 10**9), "ends before its"),
-        (put("buffers", 0, "byteLength", 10**9), "buffer 0 has .* of its 1000000000 bytes"),
-        (put("buffers", 0, "uri", "data:,%%%"), "not in base 64"),
-        (put("buffers", 0, "uri", "missing.bin"), "there is no file .*missing.bin"),
-        (put("animations", 0, "samplers", 0, "interpolation", "SINE"), "goes by 'SINE', which is unknown"),
-        (put("animations", 0, "channels", 0, "sampler", 9), "no sampler 9"),
-        (put("animations", 0, "samplers", 0, "input", 0), "must have 1 components"),
-        (put("nodes", 0, "translation", [1, 2]), "not glTF as it should be"),
-        (put("nodes", 0, "scale", [1, 2, float("nan")]), "node 0 has a transform that is not finite"),
-    ]
-
-
-@pytest.mark.parametrize("case", range(27))
-def test_broken_files(tmp_path, rng, case):
-    change, says = broken(rng)[case]
-    _, content = figure(rng)
-    change(content)
-    with pytest.raises(InputError, match=says) as caught:
-        load(save(tmp_path, content))
-    said = str(caught.value)
-    assert any(name in said for name in ("a.gltf", "missing.bin", "a\0b"))
-    assert "InputError" not in said
-
-
-def test_long_chains_and_long_animations(tmp_path, rng):
-    """A chain of 300 nodes is posed in a few steps; what would take gigabytes is refused."""
-    writer = Writer()
-    primitive = {
-        "attributes": {"POSITION": writer.array(TETRAHEDRON)},
-        "indices": writer.array(FACES.ravel()[:, None], "<u2"),
-    }
-    times = writer.array(np.arange(3000.0))
-    samplers = [{"input": times, "output": writer.array(rng.normal(size=(3000, 3)))}]
-    channels = [{"sampler": 0, "target": {"node": 0, "path": "translation"}}]
-    animations = [{"samplers": samplers, "channels": channels}]
-    nodes: list[dict] = [{"children": [k + 1], "translation": [0, 0, 1]} for k in range(299)] + [{"mesh": 0}]
-    content = writer.content(nodes=nodes, meshes=[{"primitives": [primitive]}], animations=animations)
-    scene = load(save(tmp_path, content))
-    first = stored(writer, samplers[0]["output"])
-    for t in (0.0, 7.0):
-        found = np.asarray(scene.vertices(t))
-        np.testing.assert_allclose(found.min(axis=0), first[int(t)] + [0, 0, 298], atol=1e-12)
-    nodes[299:] = [{"children": [k + 1]} for k in range(299, 1999)] + [{"mesh": 0}]
-    with pytest.raises(InputError, match=r"3,000 times of 2,000 nodes, more than"):
-        load(save(tmp_path, content))
-
-
-def test_a_node_of_no_size_hides_its_mesh(tmp_path):
-    writer = Writer()
-    primitive = {
-        "attributes": {"POSITION": writer.array(TETRAHEDRON)},
-        "indices": writer.array(FACES.ravel()[:, None], "<u2"),
-    }
-    samplers = [{"input": writer.array([0.0, 1.0]), "output": writer.array([[0, 0, 0], [2, 2, 2]])}]
-    channels = [{"sampler": 0, "target": {"node": 0, "path": "scale"}}]
-    animations = [{"samplers": samplers, "channels": channels}]
-    nodes = [{"mesh": 0, "scale": [0, 0, 0]}]
-    content = writer.content(nodes=nodes, meshes=[{"primitives": [primitive]}], animations=animations)
-    scene = load(save(tmp_path, content))
-    assert np.abs(scene.vertices(0.0)).max() == 0.0
-    np.testing.assert_allclose(np.max(scene.vertices(1.0), axis=0), [2, 2, 2], atol=1e-15)
-
-
-def test_broken_containers(tmp_path, models):
-    data = (models / "fox.glb").read_bytes()
-    for name, content, says in (
-        ("a.glb", data[: len(data) // 2], "ends in the middle of a chunk"),
-        ("b.glb", data[:12], "has no JSON chunk"),
-        ("c.glb", b"", "JSON is not whole"),
-        ("d.gltf", b"\xff\xfe{", "JSON is not whole"),
-        ("e.gltf", b"[" * 10**5, "JSON is not whole"),
-        ("f.gltf", b"3", "JSON is not whole"),
-    ):
-        (tmp_path / name).write_bytes(content)
-        with pytest.raises(InputError, match=says):
-            load(tmp_path / name)
-    with pytest.raises(InputError, match=r"animation has a meaning for \.gltf and \.glb"):
-        load(models / "spot_control_mesh.obj", animation="Run")
-    with pytest.raises(InputError, match="walker is built in: animation has no meaning"):
-        load("walker", animation="Run")

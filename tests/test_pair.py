@@ -43,7 +43,8 @@ def test_real_scenes_are_saved_and_read_again(tmp_path, models, name):
     scene = load(models / name)
     save(scene, str(tmp_path / "a.json"))
     again = load(tmp_path / "a.json")
-    assert np.array_equal(again.patches(), scene.patches())
+    # weights of joints, which a rest pose needs, are divided by their sum again
+    np.testing.assert_allclose(again.patches(), scene.patches(), rtol=0, atol=1e-13 * np.abs(scene.patches()).max())
     assert (again.rig is None) == (scene.rig is None)
     if scene.rig is not None:
         assert scene.rig.motion is not None

@@ -1,10 +1,15 @@
-"""The container of glTF 2.0: JSON, binary buffers, and accessors that make arrays of them."""
+"""The container of glTF 2.0: JSON, binary buffers, and accessors that make arrays of them.
+
+What a file says about itself is not believed: sizes are compared with what is there before anything is made of them,
+and no name of a buffer leads out of the file's folder.
+"""
 
 from __future__ import annotations
 
 import base64
 import binascii
 import json
+import re
 import struct
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,12 +20,14 @@ import numpy as np
 
 from slefejax.errors import InputError
 from slefejax.io.content import read_bytes
+from slefejax.io.gltf_extensions import DRACO, MESHOPT, extension_of, hides_shapes
 
 _TYPES = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5125: "u4", 5126: "f4"}
 _SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _MOST = 2 * 10**7  # numbers of an accessor
-# what a file may require without changing how its shapes are read
-_HARMLESS = ("KHR_materials", "KHR_texture", "KHR_lights", "KHR_mesh_quantization", "EXT_texture", "KHR_xmp")
+_MOST_ZEROS = 3 * 10**6  # numbers of an accessor of which nothing is in the file
+_MOST_IN_ALL = 10**8  # numbers of all that is read, the same ones again if they are asked for again
+_SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*:")
 
 
 @dataclass
@@ -31,6 +38,8 @@ class GltfFile:
     content: dict[str, Any]
     binary: bytes | None
     _buffers: dict[int, bytes] = field(default_factory=dict)
+    _files: dict[Path, bytes] = field(default_factory=dict)
+    _asked: int = 0
 
     @staticmethod
     def of(path: Path) -> GltfFile:
@@ -45,9 +54,13 @@ class GltfFile:
             raise InputError(f"{path} is no glTF file: its JSON is not whole, or has no asset and version") from None
         if not version.startswith("2"):
             raise InputError(f"{path} is glTF {version[:20]}: only version 2 is read")
-        hiding = [name for name in required if not name.startswith(_HARMLESS)]
+        hiding = [name for name in required if hides_shapes(name)]
         if hiding:
-            raise InputError(f"{path} requires the extension {hiding[0][:60]}, which is not read: export without it")
+            what = " (Draco)" if hiding[0] == DRACO else ""
+            without = "compression" if hiding[0] in (DRACO, *MESHOPT) else "it"
+            raise InputError(
+                f"{path} requires the extension {hiding[0][:60]}{what}, which is not read: export without {without}"
+            )
         return GltfFile(path, content, binary)
 
     def fail(self, what: str) -> InputError:
@@ -74,8 +87,7 @@ class GltfFile:
         count = self._whole(accessor, "count", f"accessor {number}")
         if kind is None or size is None or size != components:
             raise self.fail(f"{what} (accessor {number}) must have {components} components of a known type")
-        if count * size > _MOST:
-            raise self.fail(f"{what} (accessor {number}) has {count * size:,} numbers, more than {_MOST:,}")
+        self.allow(count * size, f"{what} (accessor {number})", _MOST if "bufferView" in accessor else _MOST_ZEROS)
         dtype = np.dtype("<" + kind)
         if whole and dtype.kind != "u":
             raise self.fail(f"{what} (accessor {number}) must be whole numbers without a sign")
@@ -93,6 +105,15 @@ class GltfFile:
         elif accessor.get("normalized"):
             values = np.maximum(values / float(np.iinfo(dtype).max), -1.0)
         return values
+
+    def allow(self, numbers: int, what: str, most: int = _MOST) -> None:
+        """Raise InputError if that are too many numbers, or if all that were asked for are."""
+        if numbers > most:
+            none = " that are not in the file" if most < _MOST else ""
+            raise self.fail(f"{what} has {numbers:,} numbers{none}, more than {most:,}")
+        self._asked += numbers
+        if self._asked > _MOST_IN_ALL:
+            raise self.fail(f"its meshes have more than {_MOST_IN_ALL:,} numbers in all: export fewer of them")
 
     def _whole(self, owner: Any, name: str, what: str, default: int | None = None) -> int:
         value = owner.get(name, default) if isinstance(owner, dict) else None
@@ -140,27 +161,61 @@ class GltfFile:
             buffer = self.item("buffers", number)
             length, uri = self._whole(buffer, "byteLength", f"buffer {number}"), buffer.get("uri")
             if uri is None:
-                data = self.binary
-            elif isinstance(uri, str) and uri.startswith("data:"):
+                data = self.binary if number == 0 else None
+            elif isinstance(uri, str) and uri[:5].lower() == "data:":
                 data = self._decoded(uri, number)
             elif isinstance(uri, str):
-                data = read_bytes(self.path.parent / unquote(uri))
+                data = self._beside(uri, number)
             else:
                 data = None
+            if data is None and any(extension_of(buffer, name) for name in MESHOPT):
+                raise self.fail(
+                    f"buffer {number} is compressed (meshopt), which is not read: export without compression"
+                )
             if data is None or len(data) < length:
                 raise self.fail(f"buffer {number} has {0 if data is None else len(data)} of its {length} bytes")
             self._buffers[number] = data
         return self._buffers[number]
 
+    def _beside(self, uri: str, number: Any) -> bytes:
+        """The file of that name in the folder of this one. Raises InputError for a name that leads out of it."""
+        found = _within(self.path.parent, unquote(uri))
+        if found is None:
+            raise self.fail(
+                f"buffer {number} is to be read from {uri[:80]!r}, which is no file in this one's folder or below: copy"
+                " it there, or export a .glb"
+            )
+        try:
+            if found not in self._files:
+                self._files[found] = read_bytes(found)
+        except InputError as error:
+            raise self.fail(f"buffer {number}: {error}") from None
+        return self._files[found]
+
     def _decoded(self, uri: str, number: Any) -> bytes:
         try:
-            return base64.b64decode(uri.partition(",")[2], validate=True)
+            return base64.b64decode(unquote(uri.partition(",")[2]), validate=True)
         except (binascii.Error, ValueError):
             raise self.fail(f"buffer {number} is not in base 64") from None
 
 
+def _within(folder: Path, name: str) -> Path | None:
+    """The file of that name, there or not, if it lies in the folder or below, links followed; otherwise None."""
+    try:
+        found = (folder / name).resolve()
+        inside = found.is_relative_to(folder.resolve()) and (found.is_file() or not found.exists())
+    except (OSError, ValueError, RuntimeError):  # a name that no file can have, a link to itself
+        return None
+    return found if inside and not _SCHEME.match(name) else None
+
+
 def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes | None]:
     """The JSON and the binary chunk of a .glb file."""
+    version, whole = struct.unpack("<II", data[4:12]) if len(data) >= 12 else (2, 0)
+    if version != 2:
+        raise InputError(f"{path} is a .glb file of version {version}: only version 2 is read")
+    if whole > len(data):
+        raise InputError(f"{path} has {len(data):,} of the {whole:,} bytes that it should have: is it complete?")
     found: dict[bytes, bytes] = {}
     at = 12
     while at + 8 <= len(data):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from jaxtyping import Float
 
 from slefejax.arguments import is_whole
 from slefejax.errors import InputError
+from slefejax.io.gltf_extensions import extension_of
 from slefejax.io.gltf_file import GltfFile
 from slefejax.rig import Motion
 
@@ -16,6 +18,11 @@ _CURVE = 16  # samples of every piece of a cubic curve
 _BEFORE = 1e-6  # of the span of an animation: how long before a step the value is still the old one
 _MOST = 5 * 10**6  # times times nodes
 _PATHS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 1}
+_POINTER = re.compile(r"/nodes/(\d{1,9})/(translation|rotation|scale|weights)")
+_HARMLESS = ("/materials/", "/cameras/", "/extensions/KHR_lights", "/textures/")
+
+Channel = tuple[int, str, dict[str, Any]]
+"""What an animation moves: a node, one of _PATHS of it, and the sampler that says how."""
 
 
 def chosen_animation(file: GltfFile, wanted: Any, notes: list[str]) -> dict[str, Any] | None:
@@ -34,14 +41,44 @@ def chosen_animation(file: GltfFile, wanted: Any, notes: list[str]) -> dict[str,
     raise InputError(f"{file.path} has no animation {wanted!r}: it has {', '.join(names) or 'none'}")
 
 
+def channels_of(file: GltfFile, animation: dict[str, Any] | None, notes: list[str]) -> list[Channel]:
+    """The channels of an animation that move shapes; those that cannot be followed are noted."""
+    found, lost = [], []
+    for channel in (animation or {}).get("channels", []):
+        target = channel["target"]
+        node, path = target.get("node"), target.get("path")
+        if path == "pointer":
+            pointer = str((extension_of(target, "KHR_animation_pointer") or {}).get("pointer"))
+            if named := _POINTER.fullmatch(pointer):
+                node, path = int(named[1]), named[2]
+            elif not pointer.startswith(_HARMLESS):
+                lost.append(pointer[:60])
+        if node is None or path not in _PATHS:
+            continue
+        file.item("nodes", node)
+        samplers = animation["samplers"]  # type: ignore[index]
+        if not 0 <= channel["sampler"] < len(samplers):
+            raise file.fail(f"the animation has no sampler {channel['sampler']}")
+        found.append((node, path, samplers[channel["sampler"]]))
+    if lost:
+        notes.append(f"the animation also moves {lost[0]} ({len(lost)} such pointers), which is not followed")
+    return found
+
+
 def motion_of(
-    file: GltfFile, animation: dict[str, Any] | None, nodes: list[Any], more: int | None, owners: list[tuple[int, int]]
+    file: GltfFile,
+    channels: list[Channel],
+    nodes: list[Any],
+    more: int | None,
+    owners: list[tuple[int, int]],
+    weights: np.ndarray,
 ) -> Motion:
     """Poses of all joints (nodes, then ``more`` that only stand in their parents; None for no joints) and keys.
 
-    owners : (node, number of the morph target) of every key
+    owners  : (node, number of the morph target) of every key
+    weights : of the keys where nothing moves them
     """
-    curves = _curves(file, animation, nodes)
+    curves = {(node, path): _curve(file, sampler, node, path, nodes) for node, path, sampler in channels}
     times = _times(curves)
     if len(times) * max(1, len(nodes), len(owners)) > _MOST:
         raise file.fail(
@@ -57,7 +94,7 @@ def motion_of(
             poses[("translation", "rotation", "scale").index(path)][:, node] = curve.at(times)
     if not all(np.isfinite(pose).all() for pose in poses):
         raise file.fail("its animation leads to transforms that are not finite")
-    keys = _weights(file, curves, times, nodes, owners)
+    keys = _weights(curves, times, owners, weights)
     if more is None:
         return Motion(times, keys=keys)
     still = (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.ones(3))
@@ -68,17 +105,14 @@ def motion_of(
     return Motion(times, own[0], own[1], None if np.all(own[2] == 1.0) else own[2], keys)
 
 
-def _weights(file: GltfFile, curves: dict, times: np.ndarray, nodes: list[Any], owners: list) -> np.ndarray | None:
+def _weights(curves: dict, times: np.ndarray, owners: list, weights: np.ndarray) -> np.ndarray | None:
     if not owners:
         return None
-    columns = []
-    for node, target in owners:
+    found = np.repeat(weights[None], len(times), axis=0)
+    for k, (node, target) in enumerate(owners):
         if (node, "weights") in curves:
-            columns.append(curves[node, "weights"].at(times)[:, target])
-            continue
-        given = nodes[node].weights or file.item("meshes", nodes[node].mesh).get("weights") or []
-        columns.append(np.full(len(times), float(given[target]) if target < len(given) else 0.0))
-    return np.stack(columns, axis=1)
+            found[:, k] = curves[node, "weights"].at(times)[:, target]
+    return found
 
 
 class _Curve:
@@ -133,21 +167,6 @@ def _arcs(p: np.ndarray, q: np.ndarray, share: np.ndarray) -> np.ndarray:
 
 def _turned(values: np.ndarray) -> np.ndarray:
     return values / np.linalg.norm(values, axis=1, keepdims=True)
-
-
-def _curves(file: GltfFile, animation: dict[str, Any] | None, nodes: list[Any]) -> dict[tuple[int, str], _Curve]:
-    found: dict[tuple[int, str], _Curve] = {}
-    for channel in (animation or {}).get("channels", []):
-        target = channel["target"]
-        node, path = target.get("node"), target.get("path")
-        if node is None or path not in _PATHS:
-            continue
-        file.item("nodes", node)
-        samplers = animation["samplers"]  # type: ignore[index]
-        if not 0 <= channel["sampler"] < len(samplers):
-            raise file.fail(f"the animation has no sampler {channel['sampler']}")
-        found[node, path] = _curve(file, samplers[channel["sampler"]], node, path, nodes)
-    return found
 
 
 def _curve(file: GltfFile, sampler: dict[str, Any], node: int, path: str, nodes: list[Any]) -> _Curve:
