@@ -16,11 +16,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from slefejax.arguments import floating, whole_numbers
 from slefejax.errors import InputError
-from slefejax.skinning import Influences, ShapeKeys, rotation_matrices
+from slefejax.skinning import Influences, ShapeKeys, dual_quaternion_blend, linear_blend, rotation_matrices
 
 _FLAT = 1e-12  # determinant of unit columns
 
@@ -216,6 +216,7 @@ class Rig:
     keys                 : shape keys
     motion               : poses over time
     rate                 : units of time (frames) a second
+    dual_quaternions     : which vertices the file wants blended by dual quaternions; None for none
     """
 
     skeleton: Skeleton | None = None
@@ -223,6 +224,7 @@ class Rig:
     keys: ShapeKeys | None = None
     motion: Motion | None = None
     rate: float = 24.0
+    dual_quaternions: Bool[np.ndarray, "vertices"] | None = None
 
     def pose(self, time: Any = None, keys: Any = None) -> Pose:
         """The pose at a time of the motion, or at rest without one; differentiable by the time.
@@ -263,8 +265,18 @@ class Rig:
         places = np.array([names.index(name) for name in given], np.int64)
         return own.at[places].set(jnp.stack([jnp.asarray(w, own.dtype) for w in given.values()])) if given else own
 
-    def posed(self, rest: Any, pose: Pose, deform: Deformation) -> Any:
+    def deform(self, rest: Any, transforms: Any, influences: Influences) -> Any:
+        """The deformation that the file asks for, linear where it asks for none; each vertex by its own."""
+        dual = self.dual_quaternions
+        if dual is None or not dual.any():
+            return linear_blend(rest, transforms, influences)
+        blended = dual_quaternion_blend(rest, transforms, influences)
+        return blended if dual.all() else jnp.where(dual[:, None], blended, linear_blend(rest, transforms, influences))
+
+    def posed(self, rest: Any, pose: Pose, deform: Deformation | None = None) -> Any:
         """Rest positions ``(vertices, 3)`` moved to where they are in a pose: shape keys first, then bones.
+
+        deform : how bones move vertices; None: as the file says
 
         Raises InputError for a pose of another number of joints or keys, and for parts that this rig does not have.
         """
@@ -272,7 +284,7 @@ class Rig:
         if pose.keys is not None and self.keys is not None:
             rest = rest + self.keys.offsets(pose.keys)
         if pose.local is not None and self.skeleton is not None:
-            rest = deform(rest, self.skeleton.transforms(pose.local), self.influences)  # type: ignore[arg-type]
+            rest = (deform or self.deform)(rest, self.skeleton.transforms(pose.local), self.influences)  # type: ignore[arg-type]
         return rest
 
     def check(self, pose: Pose) -> Pose:
@@ -293,6 +305,11 @@ class Rig:
             joints = len(self.skeleton.names)
             if self.influences.table.columns != joints:
                 raise InputError(f"influences are of {self.influences.table.columns} joints, the skeleton has {joints}")
+            rows = self.influences.table.rows
+            if self.dual_quaternions is not None and np.shape(self.dual_quaternions) != (rows,):
+                raise InputError(
+                    f"dual_quaternions must say it of {rows} vertices, not {np.shape(self.dual_quaternions)}"
+                )
 
 
 def transform_of(translation: Any, rotation: Any, scale: Any) -> Float[np.ndarray, "4 4"]:
