@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float, Int
 
 from slefejax.arguments import floating, whole_numbers
 from slefejax.errors import InputError
+from slefejax.late import one_at_a_time
 from slefejax.skinning import Influences, ShapeKeys, dual_quaternion_blend, linear_blend, rotation_matrices
 
 _FLAT = 1e-12  # determinant of unit columns
@@ -316,7 +317,8 @@ def transform_of(translation: Any, rotation: Any, scale: Any) -> Float[np.ndarra
     """The matrix of a scale, then a rotation (w, x, y, z), then a translation."""
     matrix = np.eye(4)
     w, x, y, z = rotation
-    from scipy.spatial.transform import Rotation  # slow to import
+    with one_at_a_time:
+        from scipy.spatial.transform import Rotation  # slow to import
 
     matrix[:3, :3] = Rotation.from_quat([x, y, z, w]).as_matrix() * np.asarray(scale)
     matrix[:3, 3] = translation
@@ -334,7 +336,8 @@ def transform_parts(matrix: Float[np.ndarray, "4 4"]) -> tuple[np.ndarray, np.nd
         # what flattens space has no rotation of its own: the nearest one
         u, _, v = np.linalg.svd(turn)
         turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
-    from scipy.spatial.transform import Rotation  # slow to import
+    with one_at_a_time:
+        from scipy.spatial.transform import Rotation  # slow to import
 
     x, y, z, w = Rotation.from_matrix(turn).as_quat()
     return matrix[:3, 3], np.array([w, x, y, z]), scale

@@ -19,6 +19,7 @@ from slefejax.io.bvh import Bvh, read_bvh
 from slefejax.io.content import Content, read_bytes
 from slefejax.io.numbers import Numbers
 from slefejax.io.obj import read_obj
+from slefejax.late import one_at_a_time
 from slefejax.rig import Motion, Rig, Skeleton
 from slefejax.skinning import Influences, Key, ShapeKeys
 
@@ -120,7 +121,8 @@ def _motion(path: Path, skeleton: Skeleton, heads: np.ndarray, keys: int) -> Mot
     missing = sorted(set(skeleton.names) - set(pose.names))
     if missing:
         raise InputError(f"{path} does not move bone {missing[0]!r} of the skeleton: is the pose for another one?")
-    from scipy.spatial.transform import Rotation
+    with one_at_a_time:
+        from scipy.spatial.transform import Rotation
 
     own = [pose.names.index(name) for name in skeleton.names]
     assert pose.motion.rotations is not None
