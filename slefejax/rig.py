@@ -8,7 +8,7 @@ parent times its local one, and what moves the vertices is world times inverse b
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ from jaxtyping import Float, Int
 
 from slefejax.arguments import floating, whole_numbers
 from slefejax.errors import InputError
-from slefejax.skinning import Influences, ShapeKeys, rotation_matrices
+from slefejax.skinning import Influences, ShapeKeys, linear_blend, rotation_matrices
 
 _FLAT = 1e-12  # determinant of unit columns
 
@@ -35,7 +35,7 @@ def check_time(time: Any) -> None:
 
 
 class Pose(NamedTuple):
-    """How a rig stands; whatever is None is as at rest.
+    """How a rig stands; whatever is None is as at rest (``Rig.rest``).
 
     local : ``(joints, 4, 4)`` local transforms of the joints
     keys  : ``(keys,)`` weights of the shape keys
@@ -216,6 +216,10 @@ class Rig:
     keys                 : shape keys
     motion               : poses over time
     rate                 : units of time (frames) a second
+    rest                 : how the scene stands where no pose is asked for, arrays of the host; what is None in it is
+                           where the vertices of the mesh are: joints as bound, all keys of weight 0
+
+    Raises InputError for joints without influences or the other way round, and for a rest pose that does not fit.
     """
 
     skeleton: Skeleton | None = None
@@ -223,11 +227,13 @@ class Rig:
     keys: ShapeKeys | None = None
     motion: Motion | None = None
     rate: float = 24.0
+    rest: Pose = field(default_factory=Pose)
 
     def pose(self, time: Any = None, keys: Any = None) -> Pose:
         """The pose at a time of the motion, or at rest without one; differentiable by the time.
 
-        keys : weights of shape keys instead of the motion's: ``(keys,)``, or a mapping from some of their names
+        keys : weights of shape keys instead of the motion's: ``(keys,)``, or a mapping from some of their names; the
+               others keep those that they have, at rest if there is no motion of them
 
         Raises InputError for a time outside of the motion, keys that do not exist, and too few or too many weights.
 
@@ -259,12 +265,13 @@ class Rig:
                 f"there is no shape key {unknown[0]!r}: "
                 + (f"there are {', '.join(names)}" if names else "there are none")
             )
-        own = jnp.zeros(len(names)) if own is None else own
+        if own is None:
+            own = jnp.zeros(len(names)) if self.rest.keys is None else jnp.asarray(self.rest.keys)
         places = np.array([names.index(name) for name in given], np.int64)
         return own.at[places].set(jnp.stack([jnp.asarray(w, own.dtype) for w in given.values()])) if given else own
 
     def posed(self, rest: Any, pose: Pose, deform: Deformation) -> Any:
-        """Rest positions ``(vertices, 3)`` moved to where they are in a pose: shape keys first, then bones.
+        """Positions ``(vertices, 3)`` of the mesh moved to where they are in a pose: shape keys first, then bones.
 
         Raises InputError for a pose of another number of joints or keys, and for parts that this rig does not have.
         """
@@ -275,9 +282,20 @@ class Rig:
             rest = deform(rest, self.skeleton.transforms(pose.local), self.influences)  # type: ignore[arg-type]
         return rest
 
+    def at_rest(self, vertices: Any, deform: Deformation = linear_blend) -> Float[np.ndarray, "vertices 3"]:
+        """Positions ``(vertices, 3)`` of the mesh moved to where they are in the rest pose, in float64 on the host."""
+        if all(part is None for part in self.rest):
+            return np.asarray(vertices, np.float64)
+        with jax.enable_x64(True):
+            return np.asarray(self.posed(jnp.asarray(vertices), self.rest, deform))
+
     def check(self, pose: Pose) -> Pose:
-        """The pose as arrays. Raises InputError for what are no numbers, or of another number of joints or keys."""
-        pose = Pose(*(None if part is None else floating(part) for part in pose))
+        """The pose as arrays, what it leaves open as it is at rest.
+
+        Raises InputError for what are no numbers, or of another number of joints or keys.
+        """
+        both = zip(pose, self.rest, strict=True)
+        pose = Pose(*(own if given is None else floating(given) for given, own in both))
         joints = 0 if self.skeleton is None else len(self.skeleton.names)
         keys = 0 if self.keys is None else len(self.keys.names)
         if pose.local is not None and np.shape(pose.local) != (joints, 4, 4):
@@ -293,6 +311,8 @@ class Rig:
             joints = len(self.skeleton.names)
             if self.influences.table.columns != joints:
                 raise InputError(f"influences are of {self.influences.table.columns} joints, the skeleton has {joints}")
+        if not all(part is None or np.isfinite(part).all() for part in self.check(self.rest)):
+            raise InputError("the rest pose of a rig has numbers that are not finite")
 
 
 def transform_of(translation: Any, rotation: Any, scale: Any) -> Float[np.ndarray, "4 4"]:
