@@ -24,7 +24,7 @@ def outlines(scene: Scene, view: View) -> Outlines:
     """Faces of the control mesh, or cells of the control nets of a list of patches."""
     if scene.conversion is not None:
         mesh = scene.conversion.mesh
-        places, corners, sizes = mesh.vertices, mesh.corners, mesh.sizes
+        places, corners, sizes = np.asarray(scene.vertices()), mesh.corners, mesh.sizes
     else:
         places = scene.patches()
         count, nu, nv = places.shape[:3]

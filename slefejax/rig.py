@@ -8,7 +8,7 @@ parent times its local one, and what moves the vertices is world times inverse b
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -36,7 +36,7 @@ def check_time(time: Any) -> None:
 
 
 class Pose(NamedTuple):
-    """How a rig stands; whatever is None is as at rest.
+    """How a rig stands; whatever is None is as at rest (``Rig.rest``).
 
     local : ``(joints, 4, 4)`` local transforms of the joints
     keys  : ``(keys,)`` weights of the shape keys
@@ -217,7 +217,11 @@ class Rig:
     keys                 : shape keys
     motion               : poses over time
     rate                 : units of time (frames) a second
+    rest                 : how the scene stands where no pose is asked for, arrays of the host; what is None in it is
+                           where the vertices of the mesh are: joints as bound, all keys of weight 0
     dual_quaternions     : which vertices the file wants blended by dual quaternions; None for none
+
+    Raises InputError for joints without influences or the other way round, and for a rest pose that does not fit.
     """
 
     skeleton: Skeleton | None = None
@@ -225,12 +229,14 @@ class Rig:
     keys: ShapeKeys | None = None
     motion: Motion | None = None
     rate: float = 24.0
+    rest: Pose = field(default_factory=Pose)
     dual_quaternions: Bool[np.ndarray, "vertices"] | None = None
 
     def pose(self, time: Any = None, keys: Any = None) -> Pose:
         """The pose at a time of the motion, or at rest without one; differentiable by the time.
 
-        keys : weights of shape keys instead of the motion's: ``(keys,)``, or a mapping from some of their names
+        keys : weights of shape keys instead of the motion's: ``(keys,)``, or a mapping from some of their names; the
+               others keep those that they have, at rest if there is no motion of them
 
         Raises InputError for a time outside of the motion, keys that do not exist, and too few or too many weights.
 
@@ -262,7 +268,8 @@ class Rig:
                 f"there is no shape key {unknown[0]!r}: "
                 + (f"there are {', '.join(names)}" if names else "there are none")
             )
-        own = jnp.zeros(len(names)) if own is None else own
+        if own is None:
+            own = jnp.zeros(len(names)) if self.rest.keys is None else jnp.asarray(self.rest.keys)
         places = np.array([names.index(name) for name in given], np.int64)
         return own.at[places].set(jnp.stack([jnp.asarray(w, own.dtype) for w in given.values()])) if given else own
 
@@ -275,7 +282,7 @@ class Rig:
         return blended if dual.all() else jnp.where(dual[:, None], blended, linear_blend(rest, transforms, influences))
 
     def posed(self, rest: Any, pose: Pose, deform: Deformation | None = None) -> Any:
-        """Rest positions ``(vertices, 3)`` moved to where they are in a pose: shape keys first, then bones.
+        """Positions ``(vertices, 3)`` of the mesh moved to where they are in a pose: shape keys first, then bones.
 
         deform : how bones move vertices; None: as the file says
 
@@ -288,9 +295,20 @@ class Rig:
             rest = (deform or self.deform)(rest, self.skeleton.transforms(pose.local), self.influences)  # type: ignore[arg-type]
         return rest
 
+    def at_rest(self, vertices: Any, deform: Deformation | None = None) -> Float[np.ndarray, "vertices 3"]:
+        """Positions ``(vertices, 3)`` of the mesh moved to where they are in the rest pose, in float64 on the host."""
+        if all(part is None for part in self.rest):
+            return np.asarray(vertices, np.float64)
+        with jax.enable_x64(True):
+            return np.asarray(self.posed(jnp.asarray(vertices), self.rest, deform))
+
     def check(self, pose: Pose) -> Pose:
-        """The pose as arrays. Raises InputError for what are no numbers, or of another number of joints or keys."""
-        pose = Pose(*(None if part is None else floating(part) for part in pose))
+        """The pose as arrays, what it leaves open as it is at rest.
+
+        Raises InputError for what are no numbers, or of another number of joints or keys.
+        """
+        both = zip(pose, self.rest, strict=True)
+        pose = Pose(*(own if given is None else floating(given) for given, own in both))
         joints = 0 if self.skeleton is None else len(self.skeleton.names)
         keys = 0 if self.keys is None else len(self.keys.names)
         if pose.local is not None and np.shape(pose.local) != (joints, 4, 4):
@@ -311,6 +329,8 @@ class Rig:
                 raise InputError(
                     f"dual_quaternions must say it of {rows} vertices, not {np.shape(self.dual_quaternions)}"
                 )
+        if not all(part is None or np.isfinite(part).all() for part in self.check(self.rest)):
+            raise InputError("the rest pose of a rig has numbers that are not finite")
 
 
 def transform_of(translation: Any, rotation: Any, scale: Any) -> Float[np.ndarray, "4 4"]:

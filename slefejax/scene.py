@@ -54,14 +54,15 @@ from slefejax.view import LARGEST, Camera, Vector
 class Scene:
     """Patches with a name, where they come from, and what was noticed when they were read.
 
-    control    : ``(patches, du+1, dv+1, 3)`` float64, 4 at the end if rational
+    control    : ``(patches, du+1, dv+1, 3)`` float64, 4 at the end if rational, at rest
     camera     : the camera that belongs to the scene, or None: ``default_camera`` then frames it
     notes      : sentences about what loading changed or left out
     up         : the direction that is up
     faces      : ``(patches,)``, the face, the surface or the patch of the file that each comes from
     kinds      : ``(patches,)``, numbers in ``slefejax.conversion.patchwork.KINDS``
     conversion : of a control mesh: how patches are made of it, differentiably, in any pose; None for other scenes
-    rig        : what moves the control mesh; None if nothing does
+    rig        : what moves the control mesh; None if nothing does. The vertices of ``conversion.mesh`` are those that
+                 it moves; ``vertices()`` are where they stand at rest
     """
 
     name: str
@@ -78,10 +79,10 @@ class Scene:
         """Control points at rest, ``(patches, du+1, dv+1, 3)``, u before v."""
         return self.control
 
-    def vertices(self, pose: Any, deform: Deformation | None = None) -> Any:
+    def vertices(self, pose: Any = None, deform: Deformation | None = None) -> Any:
         """Positions ``(vertices, 3)`` of the control mesh in a pose, by JAX; differentiable by it.
 
-        pose   : a time of the scene's motion, or a ``Pose`` (``Scene.rig.pose`` makes some)
+        pose   : a time of the scene's motion, a ``Pose`` (``Scene.rig.pose`` makes some), or None for the pose at rest
         deform : how bones move vertices: ``linear_blend``, ``dual_quaternion_blend``, or a function like them; None: as
                  the file says, linear if it says nothing
 
@@ -95,7 +96,7 @@ class Scene:
             return rest
         return self.rig.posed(rest, pose if isinstance(pose, Pose) else self.rig.pose(pose), deform)
 
-    def pose(self, pose: Any, deform: Deformation | None = None) -> Any:
+    def pose(self, pose: Any = None, deform: Deformation | None = None) -> Any:
         """Control points of all patches in a pose, ``(patches, du+1, dv+1, 3)``: those at rest if nothing moves.
 
         Pose and deform as in ``vertices``.
@@ -151,7 +152,7 @@ class Scene:
         """Tangent patches at rest (``Conversion.tangents``). Raises InputError for a scene without a control mesh."""
         if self.conversion is None:
             raise InputError(f"{self.name} is no control mesh: only those have tangent patches")
-        return self.conversion.tangents(self.conversion.mesh.vertices)
+        return self.conversion.tangents(self.vertices())
 
     def default_camera(self, aspect: float = 1.6, cover: Number | None = None, up: Vector | None = None) -> Camera:
         """The scene's own camera, or one that frames it in a picture of that width over height.
@@ -295,10 +296,9 @@ def _scene(
     if content.mesh is not None:
         conversion, found = _converted(path, content.mesh, scheme, alpha, steps, drop_defects)
         notes += found
-        work = conversion.patchwork
-        parts.append(
-            _Part(list(work.on_host(conversion.mesh.vertices)), conversion.mesh.numbers[work.faces], work.kinds)
-        )
+        work, mesh = conversion.patchwork, conversion.mesh
+        rest = mesh.vertices if content.rig is None else content.rig.at_rest(mesh.vertices)
+        parts.append(_Part(list(work.on_host(rest)), mesh.numbers[work.faces], work.kinds))
     parts += [_spline_part(spline, number) for number, spline in enumerate(content.splines)]
     if content.patches:
         count = len(content.patches)

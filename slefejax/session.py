@@ -221,7 +221,8 @@ class Session:
         keys = None if rig.keys is None else replace(rig.keys, table=tables.keys)
         influences = None if tables.influences is None else Influences(tables.influences)
         rig = replace(rig, keys=keys, influences=influences)
-        pose = jax.tree.map(lambda x: x.astype(self._dtype), at if isinstance(at, Pose) else rig.pose(at))
+        pose = rig.check(at if isinstance(at, Pose) else rig.pose(at))
+        pose = jax.tree.map(lambda x: x.astype(self._dtype), pose)
         vertices = rig.posed(tables.rest, pose, self._deform)
         return in_layout(tables.points(vertices if tables.first is None else tables.first(vertices)), tables.net)
 

@@ -11,7 +11,7 @@ from scipy.sparse import block_diag, csr_array
 from slefejax.arguments import is_whole
 from slefejax.errors import InputError
 from slefejax.io.content import Content, joined
-from slefejax.rig import Motion, Rig, Skeleton
+from slefejax.rig import Motion, Pose, Rig, Skeleton
 from slefejax.skinning import Influences, ShapeKeys
 from slefejax.stencils import StencilTable
 
@@ -31,9 +31,10 @@ def with_copies(content: Content, copies: Any) -> Content:
         raise InputError("copies are made of control meshes only")
     axis = 0 if content.up[0] == 0 else 1
     step = np.zeros(3)
-    step[axis] = _APART * np.ptp(content.mesh.vertices[:, axis])
+    vertices = content.mesh.vertices
+    step[axis] = _APART * np.ptp((vertices if content.rig is None else content.rig.at_rest(vertices))[:, axis])
     places = np.arange(copies)[:, None] * step
-    meshes = [replace(content.mesh, vertices=content.mesh.vertices + place) for place in places]
+    meshes = [replace(content.mesh, vertices=vertices + place) for place in places]
     rig = None if content.rig is None else _rig(content.rig, places)
     return replace(content, mesh=joined(meshes), rig=rig)
 
@@ -54,7 +55,15 @@ def _rig(rig: Rig, places: np.ndarray) -> Rig:
         keys = ShapeKeys(_names(rig.keys.names, count), table, rig.keys.places * count)
     motion = None if rig.motion is None else _motion(rig, rig.motion, places)
     dual = None if rig.dual_quaternions is None else np.tile(rig.dual_quaternions, count)
-    return Rig(skeleton, influences, keys, motion, rig.rate, dual)
+    return Rig(skeleton, influences, keys, motion, rig.rate, _rest(rig, places), dual)
+
+
+def _rest(rig: Rig, places: np.ndarray) -> Pose:
+    local, keys = (None if part is None else np.concatenate([part] * len(places)) for part in rig.rest)
+    if local is not None and rig.skeleton is not None:
+        roots = np.tile(rig.skeleton.parents < 0, len(places))
+        local[roots, :3, 3] += np.repeat(places, len(rig.skeleton.names), axis=0)[roots]
+    return Pose(local, keys)
 
 
 def _motion(rig: Rig, motion: Motion, places: np.ndarray) -> Motion:

@@ -20,7 +20,7 @@ import numpy as np
 from slefejax.errors import InputError
 from slefejax.io.content import Content, read_bytes
 from slefejax.mesh import Mesh
-from slefejax.rig import Motion, Rig, Skeleton
+from slefejax.rig import Motion, Pose, Rig, Skeleton
 from slefejax.skinning import Influences, Key, ShapeKeys
 from slefejax.stencils import StencilTable
 
@@ -127,7 +127,11 @@ def _rig(arrays: _Arrays, mesh: Mesh, joints: list, keys: list, rate: float) -> 
         if "dual_quaternions" in arrays:
             dual = arrays.get("dual_quaternions", (count,), "iu") != 0
     shapes = ShapeKeys.of([_key(arrays, k, *key) for k, key in enumerate(keys)], count) if keys else None
-    return Rig(skeleton, influences, shapes, _motion(arrays, len(joints), len(keys)), rate, dual)
+    rest = Pose(
+        arrays.get("rest_joints", (len(joints), 4, 4)) if "rest_joints" in arrays else None,
+        arrays.get("rest_keys", (len(keys),)) if "rest_keys" in arrays else None,
+    )
+    return Rig(skeleton, influences, shapes, _motion(arrays, len(joints), len(keys)), rate, rest, dual)
 
 
 def _key(arrays: _Arrays, number: int, name: str, places: tuple[float, ...]) -> Key:
@@ -206,6 +210,8 @@ def _describe(rig: Rig, names: dict[str, Any], arrays: dict[str, Any]) -> None:
                 moved = np.flatnonzero(np.any(offsets != 0, axis=1))
                 arrays |= {f"key{number}_{k}_vertices": moved, f"key{number}_{k}_offsets": offsets[moved]}
                 column += 1
+    rest = zip(("rest_joints", "rest_keys"), rig.rest, strict=True)
+    arrays |= {name: values for name, values in rest if values is not None}
     if rig.motion is not None:
         motion = rig.motion
         parts = {"times": motion.times, "translations": motion.translations, "rotations": motion.rotations}
