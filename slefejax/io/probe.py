@@ -4,19 +4,38 @@
 
 Libraries written in C++ may hang on a broken binary file, take all memory, or end the process. This one is allowed
 so much memory and a few seconds of the processor; it reads everything that the file holds, and keeps nothing. Exit
-status 0 if all went well. It imports nothing of this package, which would take longer than what it does.
+status 0 if all went well; otherwise it prints what the library said, if that can be told. It imports nothing of this
+package, which would take longer than what it does.
 """
 
+import re
 import resource
 import sys
 from typing import Any
 
 
+def said_by_usd(error: BaseException) -> str:
+    """What usd-core says, in one line: where in the file (line, column) and what, or its first sentence."""
+    told = [" ".join(str(getattr(part, "commentary", part)).split()) for part in error.args]
+    said = next((text for text in told if text), type(error).__name__)
+    placed = (re.match(r"(.*?):(\d+):(\d+): (.*)", text) for text in told)
+    if place := next((found for found in placed if found), None):
+        said = f"line {place[2]}, column {place[3]}: {place[4]}"
+        if inside := re.search(r"\[(.*)\]$", place[1]):  # of a .usdz
+            said = f"{inside[1]}, {said}"
+    if said.startswith("Failed to open layer"):  # which says nothing
+        said = "is it complete?"
+    return re.sub(r"pxrInternal\w+::", "", said)[:300]
+
+
 def _usd(path: str) -> None:
-    from pxr import Usd
+    from pxr import Tf, Usd
 
     usd: Any = Usd
-    stage = usd.Stage.Open(path)
+    try:
+        stage = usd.Stage.Open(path)
+    except Tf.ErrorException as error:
+        sys.exit(print(said_by_usd(error)) or 1)
     for prim in usd.PrimRange.Stage(stage, usd.TraverseInstanceProxies()):
         for attribute in prim.GetAttributes():
             attribute.Get(usd.TimeCode.EarliestTime())
