@@ -128,6 +128,7 @@ class Skinning:
     found: list[Any] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     _bones: dict[int, Bones] = field(default_factory=dict)
+    _checked: set[str] = field(default_factory=set)
 
     @staticmethod
     def of(library: Library, stage: Any, places: Places) -> Skinning:
@@ -162,6 +163,7 @@ class Skinning:
         place = self.places.bound(prim)
         if target.HasJointInfluences() and count:
             indices, weights = self._influences(target, bones, path, count)
+            self._check(bones)
             place = bones.place @ matrix(target.GetGeomBindTransform(self.places.time))
         keys = self._keys(prim, path, count, place)
         if not keys and not indices.shape[1]:
@@ -176,16 +178,18 @@ class Skinning:
         if number not in self._bones:
             query = self.found[number]
             prim = query.GetPrim()
-            bones = Bones(query, self.places.mover(prim), self.places.below(prim), self.places.bound(prim))
-            self._bones[number] = bones
-            self._check_rest(bones)
+            self._bones[number] = Bones(
+                query, self.places.mover(prim), self.places.below(prim), self.places.bound(prim)
+            )
         return self._bones[number]
 
-    def _check_rest(self, bones: Bones) -> None:
-        """Raise InputError where a pose cannot be made up: some joints are animated, and nothing is said of others."""
+    def _check(self, bones: Bones) -> None:
+        """Raise InputError without bind transforms, and where a joint is animated and another stands nowhere."""
+        bones.bind()
         count = len(bones.joints)
-        if not count or bones.has_rest or len(bones.animated) == count:
+        if bones.path in self._checked or bones.has_rest or len(bones.animated) == count:
             return
+        self._checked.add(bones.path)
         what = f"skeleton {bones.path} has no restTransforms of its {count} joints"
         if bones.animated:
             animation = bones.animation.GetPrim().GetPath()
