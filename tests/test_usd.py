@@ -339,6 +339,7 @@ def test_creases_that_are_no_edges_are_left_out(tmp_path):
         (b"#usda 1.0\r\n(\r\n    upAxis = \r\n)\r\n", "line 3, column "),
         (b'#usda 1.0\n\ndef Xform "1 a" {\n}\n', "line 3, column .*'1 a' is not a valid prim name"),
         (b'#usda 1.0\ndef Mesh "a" {\n int[] x = [1, 2,\n}\n', "line 4, column "),
+        (b'#usda 1.0\ndef Xform "a\xcf" {\n}\n', "line 2, column "),
         (b"", "is not a valid usda layer"),
     ],
 )

@@ -16,7 +16,8 @@ from typing import Any
 
 def said_by_usd(error: BaseException) -> str:
     """What usd-core says, in one line: where in the file (line, column) and what, or its first sentence."""
-    told = [" ".join(str(getattr(part, "commentary", part)).split()) for part in error.args]
+    parts = error.args if type(error).__name__ == "ErrorException" else (error,)  # of pxr.Tf: one a message
+    told = [" ".join(_text(part).split()) for part in parts]
     said = next((text for text in told if text), type(error).__name__)
     placed = (re.match(r"(.*?):(\d+):(\d+): (.*)", text) for text in told)
     if place := next((found for found in placed if found), None):
@@ -26,6 +27,13 @@ def said_by_usd(error: BaseException) -> str:
     if said.startswith("Failed to open layer"):  # which says nothing
         said = "is it complete?"
     return re.sub(r"pxrInternal\w+::", "", said)[:300]
+
+
+def _text(part: Any) -> str:
+    try:
+        return str(getattr(part, "commentary", part))
+    except UnicodeDecodeError as odd:  # it quotes the file, which is no text there
+        return odd.object.decode(errors="replace")
 
 
 def _usd(path: str) -> None:
