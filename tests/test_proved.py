@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from slefejax import Camera, InputError, View, sampled_error, tessellation_factors, triangle_error, triangulate
-from slefejax.edges import shared_edges
 from slefejax.tessellator import pieces_along
 from slefejax.verified import drawn_grids_hold
 from tests.test_drawn import flat_on, quadratics
@@ -136,11 +135,11 @@ def test_past_what_can_be_drawn_a_patch_is_named():
     assert tessellation_factors(patches, flat_on(2e9), tiles=1, tolerance=1.0).edges.max() <= 16384
 
 
-def test_scaled_levels_are_what_was_asked_for(rng):
-    """.9 times the levels that are proved are not proved, and nothing raises them."""
+def test_scaled_levels_are_what_was_asked_for():
+    """Half of the levels that are proved are not proved, and nothing raises them."""
     patches, view, numbers = scene(3, "saddles", 0.5)
     factors = tessellation_factors(patches, view, tiles=1, edge_numbers=numbers)
     scaled = factors.scaled(0.5)
     assert triangle_error(patches, triangulate(patches, scaled), view).max() > 0.6
-    assert np.all(scaled.inner <= np.maximum(factors.inner, 2))
-    assert shared_edges(patches).shape == (6, 4)
+    assert np.all(scaled.edges < factors.edges)
+    assert np.all(scaled.inner < factors.inner)
