@@ -101,8 +101,8 @@ class LoadOptions:
     """Of scenes that move: when to look, in the units of the file; at rest if not given."""
     keys: tuple[str, ...] = ()
     """Weights of shape keys, such as smile=0.5, instead of the motion's."""
-    deform: Literal["linear", "dual-quaternion"] = "linear"
-    """How bones move vertices."""
+    deform: Literal["linear", "dual-quaternion"] | None = None
+    """How bones move vertices; if not given, as the file says, linear if it says nothing."""
 
     def arguments(self) -> dict:
         """Keyword arguments for load."""
@@ -126,9 +126,9 @@ class LoadOptions:
             raise InputError(f"{found.name} does not move: {option} has no meaning for it")
         return found.posed(found.rig.pose(self.time, self.weights()), self.deformation())
 
-    def deformation(self) -> Deformation:
-        """The function of that name."""
-        return {"linear": linear_blend, "dual-quaternion": dual_quaternion_blend}[self.deform]
+    def deformation(self) -> Deformation | None:
+        """The function of that name, None for the file's own."""
+        return {None: None, "linear": linear_blend, "dual-quaternion": dual_quaternion_blend}[self.deform]
 
     def weights(self) -> dict[str, float] | None:
         """Names and weights of shape keys, None for the motion's own. Raises InputError for what is none."""

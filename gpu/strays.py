@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from slefejax.errors import OpenGLError
+from slefejax.late import one_at_a_time
 from slefejax.tessellator import Pieces
 
 _SIDES = 9
@@ -59,7 +60,8 @@ class Strays(NamedTuple):
 
         Raises OpenGLError if they are not among these.
         """
-        from scipy.spatial import KDTree  # slow to import
+        with one_at_a_time:
+            from scipy.spatial import KDTree  # slow to import
 
         parts, count = self._own(parts), len(self.patch)
         wanted = np.column_stack([_APART * self.patch, self.corners])

@@ -15,6 +15,7 @@ from slefejax.conversion.scheme import Conversion, convert
 from slefejax.deviation import edge_turns, side_turns, surface_distance
 from slefejax.errors import InputError, NoOpenGLError
 from slefejax.factors import Factors, tessellation_factors
+from slefejax.late import one_at_a_time
 from slefejax.mesh import Mesh
 from slefejax.minimal import minimal_factors, minimal_pairs
 from slefejax.rig import Pose
@@ -103,7 +104,8 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    with one_at_a_time:
+        return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
 
 
 def __dir__() -> list[str]:

@@ -20,6 +20,7 @@ from slefejax.edges import shared_edges
 from slefejax.errors import InputError
 from slefejax.factors import Factors, tessellation_factors
 from slefejax.framing import clipping_planes
+from slefejax.late import one_at_a_time
 from slefejax.tessellator import triangle_counts
 from slefejax.view import Camera, View, bounding_sphere
 
@@ -179,7 +180,8 @@ def _distance_root(patches: Any, view: View, sphere: Any, wanted: int, options: 
 
 def _root(excess: Callable[[Any, Any], Any], low: float, high: float, patches: Any) -> float:
     """Where the excess, which falls, changes its sign; the end that is nearer to that if it does not."""
-    import optimistix as optx  # slow to import
+    with one_at_a_time:
+        import optimistix as optx  # slow to import
 
     solver = optx.Bisection(rtol=0.0, atol=1e-3, flip=True)
 

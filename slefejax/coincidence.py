@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from slefejax.bezier import elevate, evaluate_curve
 from slefejax.edges import edge_points
+from slefejax.late import one_at_a_time
 
 _NEAR = 1e-5  # of the size of the scene
 _PLACES = np.arange(17) / 16.0  # on each side
@@ -68,7 +69,8 @@ def _candidates(
     """Free curves and others whose boxes reach to their middle."""
     if not free.size:
         return np.zeros((0, 2), int)
-    from scipy.spatial import KDTree  # slow to import
+    with one_at_a_time:
+        from scipy.spatial import KDTree  # slow to import
 
     middle = _evaluate(curves[free], np.full((len(free), 1), 0.5))[:, 0]
     centre, reach = 0.5 * low + 0.5 * high, 0.5 * np.max(high - low) + tolerance

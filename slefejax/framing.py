@@ -12,6 +12,7 @@ from jaxtyping import Float
 from slefejax.arguments import Number
 from slefejax.bezier import evaluate_patch
 from slefejax.errors import InputError
+from slefejax.late import one_at_a_time
 from slefejax.view import Camera, Vector, turned_up
 
 PAPERS_SHARE = 0.38  # of the screen that a model covers in the papers (2012, section 4)
@@ -94,7 +95,8 @@ def _distance(local: np.ndarray, half: np.ndarray, closest: float, share: float)
 
 def _coverage(local: np.ndarray, half: np.ndarray, distance: float) -> float:
     """The share of the picture that the quads cover from that distance."""
-    from PIL import Image, ImageDraw  # not needed by whoever only computes
+    with one_at_a_time:
+        from PIL import Image, ImageDraw  # not needed by whoever only computes
 
     aspect = half[0] / half[1]
     width, height = (_PICTURE, round(_PICTURE / aspect)) if aspect > 1 else (round(_PICTURE * aspect), _PICTURE)

@@ -27,6 +27,7 @@ from scipy.sparse import coo_array
 
 from slefejax.arguments import real_numbers, whole_numbers
 from slefejax.errors import InputError
+from slefejax.late import one_at_a_time
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,7 +262,8 @@ class Mesh:
         """How many pieces hang together by vertices, and the piece of every face."""
         count, faces = self.vertex_count, self.face_count
         graph = coo_array((np.ones(len(self.corners), bool), (self.face, faces + self.corners)), (faces + count,) * 2)
-        from scipy.sparse.csgraph import connected_components  # slow to import
+        with one_at_a_time:
+            from scipy.sparse.csgraph import connected_components  # slow to import
 
         _, labels = connected_components(graph, directed=False)
         pieces, piece = np.unique(labels[:faces], return_inverse=True)
@@ -311,7 +313,8 @@ def _ordered(turn: np.ndarray, vertex: np.ndarray) -> Fans:
     """Fans from the map of every corner to the next one."""
     linked = np.flatnonzero(turn >= 0)
     graph = coo_array((np.ones(len(linked), bool), (linked, turn[linked])), (len(turn),) * 2)
-    from scipy.sparse.csgraph import connected_components  # slow to import
+    with one_at_a_time:
+        from scipy.sparse.csgraph import connected_components  # slow to import
 
     count, fan = connected_components(graph, directed=False)
     first = np.full(count, len(turn))

@@ -16,11 +16,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from slefejax.arguments import floating, whole_numbers
 from slefejax.errors import InputError
-from slefejax.skinning import Influences, ShapeKeys, linear_blend, rotation_matrices
+from slefejax.late import one_at_a_time
+from slefejax.skinning import Influences, ShapeKeys, dual_quaternion_blend, linear_blend, rotation_matrices
 
 _FLAT = 1e-12  # determinant of unit columns
 
@@ -218,6 +219,7 @@ class Rig:
     rate                 : units of time (frames) a second
     rest                 : how the scene stands where no pose is asked for, arrays of the host; what is None in it is
                            where the vertices of the mesh are: joints as bound, all keys of weight 0
+    dual_quaternions     : which vertices the file wants blended by dual quaternions; None for none
 
     Raises InputError for joints without influences or the other way round, and for a rest pose that does not fit.
     """
@@ -228,6 +230,7 @@ class Rig:
     motion: Motion | None = None
     rate: float = 24.0
     rest: Pose = field(default_factory=Pose)
+    dual_quaternions: Bool[np.ndarray, "vertices"] | None = None
 
     def pose(self, time: Any = None, keys: Any = None) -> Pose:
         """The pose at a time of the motion, or at rest without one; differentiable by the time.
@@ -270,8 +273,18 @@ class Rig:
         places = np.array([names.index(name) for name in given], np.int64)
         return own.at[places].set(jnp.stack([jnp.asarray(w, own.dtype) for w in given.values()])) if given else own
 
-    def posed(self, rest: Any, pose: Pose, deform: Deformation) -> Any:
+    def deform(self, rest: Any, transforms: Any, influences: Influences) -> Any:
+        """The deformation that the file asks for, linear where it asks for none; each vertex by its own."""
+        dual = self.dual_quaternions
+        if dual is None or not dual.any():
+            return linear_blend(rest, transforms, influences)
+        blended = dual_quaternion_blend(rest, transforms, influences)
+        return blended if dual.all() else jnp.where(dual[:, None], blended, linear_blend(rest, transforms, influences))
+
+    def posed(self, rest: Any, pose: Pose, deform: Deformation | None = None) -> Any:
         """Positions ``(vertices, 3)`` of the mesh moved to where they are in a pose: shape keys first, then bones.
+
+        deform : how bones move vertices; None: as the file says
 
         Raises InputError for a pose of another number of joints or keys, and for parts that this rig does not have.
         """
@@ -279,10 +292,10 @@ class Rig:
         if pose.keys is not None and self.keys is not None:
             rest = rest + self.keys.offsets(pose.keys)
         if pose.local is not None and self.skeleton is not None:
-            rest = deform(rest, self.skeleton.transforms(pose.local), self.influences)  # type: ignore[arg-type]
+            rest = (deform or self.deform)(rest, self.skeleton.transforms(pose.local), self.influences)  # type: ignore[arg-type]
         return rest
 
-    def at_rest(self, vertices: Any, deform: Deformation = linear_blend) -> Float[np.ndarray, "vertices 3"]:
+    def at_rest(self, vertices: Any, deform: Deformation | None = None) -> Float[np.ndarray, "vertices 3"]:
         """Positions ``(vertices, 3)`` of the mesh moved to where they are in the rest pose, in float64 on the host."""
         if all(part is None for part in self.rest):
             return np.asarray(vertices, np.float64)
@@ -311,6 +324,11 @@ class Rig:
             joints = len(self.skeleton.names)
             if self.influences.table.columns != joints:
                 raise InputError(f"influences are of {self.influences.table.columns} joints, the skeleton has {joints}")
+            rows = self.influences.table.rows
+            if self.dual_quaternions is not None and np.shape(self.dual_quaternions) != (rows,):
+                raise InputError(
+                    f"dual_quaternions must say it of {rows} vertices, not {np.shape(self.dual_quaternions)}"
+                )
         if not all(part is None or np.isfinite(part).all() for part in self.check(self.rest)):
             raise InputError("the rest pose of a rig has numbers that are not finite")
 
@@ -319,7 +337,8 @@ def transform_of(translation: Any, rotation: Any, scale: Any) -> Float[np.ndarra
     """The matrix of a scale, then a rotation (w, x, y, z), then a translation."""
     matrix = np.eye(4)
     w, x, y, z = rotation
-    from scipy.spatial.transform import Rotation  # slow to import
+    with one_at_a_time:
+        from scipy.spatial.transform import Rotation  # slow to import
 
     matrix[:3, :3] = Rotation.from_quat([x, y, z, w]).as_matrix() * np.asarray(scale)
     matrix[:3, 3] = translation
@@ -337,7 +356,8 @@ def transform_parts(matrix: Float[np.ndarray, "4 4"]) -> tuple[np.ndarray, np.nd
         # what flattens space has no rotation of its own: the nearest one
         u, _, v = np.linalg.svd(turn)
         turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
-    from scipy.spatial.transform import Rotation  # slow to import
+    with one_at_a_time:
+        from scipy.spatial.transform import Rotation  # slow to import
 
     x, y, z, w = Rotation.from_matrix(turn).as_quat()
     return matrix[:3, 3], np.array([w, x, y, z]), scale

@@ -49,7 +49,6 @@ from slefejax.io.rhino import read_3dm
 from slefejax.io.usd import read_usd
 from slefejax.mesh import Mesh
 from slefejax.rig import Deformation, Pose, Rig
-from slefejax.skinning import linear_blend
 from slefejax.view import LARGEST, Camera, Vector
 
 
@@ -82,11 +81,12 @@ class Scene:
         """Control points at rest, ``(patches, du+1, dv+1, 3)``, u before v."""
         return self.control
 
-    def vertices(self, pose: Any = None, deform: Deformation = linear_blend) -> Any:
+    def vertices(self, pose: Any = None, deform: Deformation | None = None) -> Any:
         """Positions ``(vertices, 3)`` of the control mesh in a pose, by JAX; differentiable by it.
 
         pose   : a time of the scene's motion, a ``Pose`` (``Scene.rig.pose`` makes some), or None for the pose at rest
-        deform : how bones move vertices: ``linear_blend``, ``dual_quaternion_blend``, or a function like them
+        deform : how bones move vertices: ``linear_blend``, ``dual_quaternion_blend``, or a function like them; None: as
+                 the file says, linear if it says nothing
 
         Raises InputError for a scene without a control mesh, for a time before the first or after the last sample, and
         for a pose of another rig.
@@ -98,7 +98,7 @@ class Scene:
             return rest
         return self.rig.posed(rest, pose if isinstance(pose, Pose) else self.rig.pose(pose), deform)
 
-    def pose(self, pose: Any = None, deform: Deformation = linear_blend) -> Any:
+    def pose(self, pose: Any = None, deform: Deformation | None = None) -> Any:
         """Control points of all patches in a pose, ``(patches, du+1, dv+1, 3)``: those at rest if nothing moves.
 
         Pose and deform as in ``vertices``.
@@ -107,7 +107,7 @@ class Scene:
             return self.control
         return self.conversion.patchwork.patches(self.vertices(pose, deform))
 
-    def posed(self, pose: Any, deform: Deformation = linear_blend) -> Scene:
+    def posed(self, pose: Any, deform: Deformation | None = None) -> Scene:
         """The scene as it stands in a pose, with nothing that moves any more.
 
         >>> load("walker").posed(6.0).rig is None

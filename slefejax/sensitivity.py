@@ -16,7 +16,6 @@ from slefejax.budget import moved, real_triangles
 from slefejax.errors import InputError
 from slefejax.rig import Deformation, Pose
 from slefejax.scene import Scene
-from slefejax.skinning import linear_blend
 from slefejax.view import View, bounding_sphere
 
 
@@ -47,7 +46,7 @@ class Sensitivity:
 
 
 def sensitivity(
-    scene: Scene, view: View, pose: Any = None, *, deform: Deformation = linear_blend, **options: Any
+    scene: Scene, view: View, pose: Any = None, *, deform: Deformation | None = None, **options: Any
 ) -> Sensitivity:
     """All derivatives at once, by reverse mode through projection, slefes or bounds, conversion, skinning, keys.
 
@@ -125,7 +124,7 @@ class _Mesh:
 
     numbers = None
 
-    def __init__(self, scene: Scene, pose: Any, deform: Deformation) -> None:
+    def __init__(self, scene: Scene, pose: Any, deform: Deformation | None) -> None:
         self.scene, self.deform, self.rig = scene, deform, scene.rig
         self.pose = Pose()
         if self.rig is not None:

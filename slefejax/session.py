@@ -28,7 +28,7 @@ from slefejax.projection import Projection, line_of_sight
 from slefejax.request import Request
 from slefejax.rig import Deformation, Pose, check_time
 from slefejax.scene import Scene
-from slefejax.skinning import Influences, linear_blend
+from slefejax.skinning import Influences
 from slefejax.stencils import StencilTable
 from slefejax.tiles import check_weights
 from slefejax.view import View
@@ -51,7 +51,8 @@ class Session:
     """Factors of a scene over time, pose by pose and view by view.
 
     scene   : from ``load``
-    deform  : how bones move vertices: ``linear_blend``, ``dual_quaternion_blend``, or a function like them
+    deform  : how bones move vertices: ``linear_blend``, ``dual_quaternion_blend``, or a function like them; None: as
+              the file says, linear if it says nothing
     dtype   : float32 or float64; None: float64 if JAX has it
     options : those of ``tessellation_factors``: method, tolerance …
 
@@ -73,13 +74,13 @@ class Session:
     seconds: dict[str, float]
     """How long each of PARTS took in that call; 0 for what was kept. The first call of each compiles."""
 
-    def __init__(self, scene: Scene, *, deform: Deformation = linear_blend, dtype: Any = None, **options: Any) -> None:
+    def __init__(self, scene: Scene, *, deform: Deformation | None = None, dtype: Any = None, **options: Any) -> None:
         if not isinstance(scene, Scene):
             raise InputError(f"a session is of a slefejax.Scene, as load gives it, not of {type(scene).__name__}")
         check_weights(scene.control)
         self.scene = scene
         self.request = Request.of(dimension=scene.control.shape[3], **options)
-        if not callable(deform):
+        if deform is not None and not callable(deform):
             raise InputError(f"deform must be a function such as slefejax.linear_blend, not {deform!r}")
         if dtype is not None and str(getattr(dtype, "__name__", dtype)) not in ("float32", "float64"):
             raise InputError(f"dtype must be float32 or float64, not {dtype!r}")

@@ -96,12 +96,18 @@ def linear_blend(rest: Any, transforms: Any, influences: Influences) -> Any:
 def dual_quaternion_blend(rest: Any, transforms: Any, influences: Influences) -> Any:
     """Blends rigid motions, so that limbs that twist keep their volume (Kavan, Collins, Zara and O'Sullivan 2008).
 
-    As ``linear_blend``; the transforms must be rotations and translations, any scale in them is ignored. Quaternions
-    are blended on the side of the vertex's strongest bone, since q and -q are one rotation.
+    As ``linear_blend``. Of a transform that scales or shears, M = R P with a rotation R and a symmetric P, P is blended
+    linearly and applied first, then the rigid motions, as UsdSkel does. Quaternions are blended on the side of the
+    vertex's strongest bone, since q and -q are one rotation.
     """
     if transforms.ndim == 4:
         return jax.vmap(dual_quaternion_blend, (0 if rest.ndim == 3 else None, 0, None))(rest, transforms, influences)
-    real = quaternions(transforms[:, :, :3])
+    turn = polar_rotations(transforms[:, :, :3])
+    stretch = jnp.einsum("nji,njk->nik", turn, transforms[:, :, :3])
+    blended = influences.table(stretch.reshape(len(stretch), 9)).reshape(-1, 3, 3)
+    x, y, z = (rest[:, k, None] for k in range(3))
+    rest = blended[..., 0] * x + blended[..., 1] * y + blended[..., 2] * z
+    real = quaternions(turn)
     moved = jnp.concatenate([jnp.zeros_like(transforms[:, :1, 3]), transforms[:, :, 3]], axis=1)
     both = jnp.concatenate([real, 0.5 * multiply(moved, real)], axis=1)
     blended = _on_one_side(both, influences)
@@ -109,6 +115,40 @@ def dual_quaternion_blend(rest: Any, transforms: Any, influences: Influences) ->
     w, r, dual_w, dual = blended[:, :1], blended[:, 1:4], blended[:, 4:5], blended[:, 5:]
     turned = rest + 2.0 * jnp.cross(r, jnp.cross(r, rest) + w * rest)
     return turned + 2.0 * (w * dual - dual_w * r + jnp.cross(r, dual))
+
+
+@jax.custom_jvp
+def polar_rotations(matrices: Float[Any, "*rest 3 3"]) -> Float[Any, "*rest 3 3"]:
+    """The rotations R of M = R P with symmetric P, of matrices M ``(..., 3, 3)``.
+
+    P is positive; where M mirrors, negative, as UsdSkel has it. Where M flattens space, R is a rotation all the same.
+    Derivatives are finite everywhere, and 0 where R has none (a bone that is scaled to 0 along two axes).
+    """
+    u, sizes, v = jnp.linalg.svd(matrices)
+    same = u @ v
+    flat = sizes[..., 2] <= 8 * jnp.finfo(sizes.dtype).eps * sizes[..., 0]
+    mirrored = (jnp.linalg.det(same) < 0)[..., None, None]
+    other = jnp.where(flat[..., None, None], same - 2.0 * u[..., :, 2:] * v[..., 2:, :], -same)
+    return jnp.where(mirrored, other, same)
+
+
+@polar_rotations.defjvp
+def _polar_rotations_jvp(primals: tuple[Any], tangents: tuple[Any]) -> tuple[Any, Any]:
+    """dR = R [w]x: of dM = R ([w]x P + dP) the skew part of R^T dM is [(tr(P) I - P) w]x."""
+    (m,), (dm,) = primals, tangents
+    turn = polar_rotations(m)
+    back = jnp.swapaxes(turn, -1, -2)
+    p, skew = back @ m, back @ dm
+    skew = skew - jnp.swapaxes(skew, -1, -2)
+    trace = jnp.trace(p, axis1=-2, axis2=-1)[..., None, None]
+    gain = trace * jnp.eye(3, dtype=p.dtype) - p
+    there = jnp.abs(jnp.linalg.det(gain))[..., None, None] > jnp.finfo(p.dtype).eps * jnp.abs(trace) ** 3
+    gain = jnp.where(there, gain, jnp.eye(3, dtype=p.dtype))
+    axis = jnp.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1)[..., None]
+    x, y, z = (jnp.where(there, jnp.linalg.inv(gain) @ axis, 0.0)[..., k, 0] for k in range(3))
+    zero = jnp.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return turn, turn @ jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def _on_one_side(both: Any, influences: Influences) -> Any:

@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 from slefejax.bezier import derivative, evaluate_curve, restrict
+from slefejax.late import one_at_a_time
 
 # Relative to the largest |a_j|: sixteen units in the last place of float64, several times what the computation loses.
 OUTWARD = 2.0**-48
@@ -121,7 +122,8 @@ def _root(increasing: Callable[[float], float]) -> float:
         return 0.0
     if increasing(1.0) <= 0.0:
         return 1.0
-    from scipy.optimize import brentq  # here, since it takes longer to import than all of this package
+    with one_at_a_time:
+        from scipy.optimize import brentq  # here, since it takes longer to import than all of this package
 
     return float(brentq(increasing, 0.0, 1.0, xtol=1e-16, rtol=4 * np.finfo(float).eps))  # type: ignore[arg-type]
 

@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 # Each layer may import itself and those before it.
 LAYERS = [
-    {"errors"},
+    {"errors", "late"},
     {
         "bezier",
         "view",

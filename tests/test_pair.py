@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slefejax import InputError, Session, View, load, save
+from slefejax import InputError, Session, View, dual_quaternion_blend, linear_blend, load, save
 from tests.test_io import write
 from tests.test_scene import CUBE
 
@@ -95,6 +95,24 @@ def test_a_pair_by_hand(tmp_path):
     np.testing.assert_allclose(scene.vertices(1.0), [[0, 0, 0], [2, 0, 0], [2, 1, 0], [0, 1, 0]], atol=1e-15)
     lifted = scene.rig.pose(1.0, keys=[0.0])
     np.testing.assert_allclose(scene.vertices(lifted)[:2], [[0, 0, 0], [1, 0, 0]], atol=1e-15)  # type: ignore[index]
+
+
+def test_the_deformation_that_a_file_asks_for_is_kept(tmp_path):
+    """Two of four vertices are blended by dual quaternions: in a pair, in one that is saved of it, and in copies."""
+    names, arrays = minimal()
+    arrays["influence_joints"], arrays["influence_weights"] = [[0, 1]] * 4, [[0.6, 0.4]] * 4
+    scene = load(put(tmp_path, names, arrays | {"dual_quaternions": [0, 1, 1, 0]}))
+    found, linear, dual = (
+        np.asarray(scene.vertices(1.0, deform)) for deform in (None, linear_blend, dual_quaternion_blend)
+    )
+    assert np.array_equal(found, np.where([[False], [True], [True], [False]], dual, linear))
+    assert np.abs(linear - dual).max() > 0.05
+    save(scene, tmp_path / "again.json")
+    np.testing.assert_allclose(load(tmp_path / "again.json").vertices(1.0), found, atol=1e-15)
+    both = np.asarray(load(tmp_path / "again.json", copies=2).vertices(1.0))
+    np.testing.assert_allclose(both[4:] - both[4], found - found[0], atol=1e-14)
+    with pytest.raises(InputError, match=r"'dual_quaternions' must be whole numbers \(4\)"):
+        load(put(tmp_path, names, arrays | {"dual_quaternions": [0.5] * 4}))
 
 
 @pytest.mark.parametrize(

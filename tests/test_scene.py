@@ -10,7 +10,8 @@ from slefejax.conversion.patchwork import KINDS
 from slefejax.framing import frame_share
 from slefejax.view import turned_up
 from tests.meshes import cube, mixed
-from tests.test_io import OBJ, faces, nurbs_usd, write
+from tests.test_io import OBJ, faces, write
+from tests.test_usd import nurbs_usd
 
 CUBE = "".join(f"v {x} {y} {z}\n" for x, y, z in cube().vertices) + "".join(
     "f " + " ".join(str(v + 1) for v in face) + "\n" for face in faces(cube())

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slefejax import InputError
-from slefejax.rig import Motion, Rig, Skeleton
+from slefejax.rig import Motion, Pose, Rig, Skeleton
 from slefejax.skinning import (
     Influences,
     Key,
@@ -16,6 +16,7 @@ from slefejax.skinning import (
     dual_quaternion_blend,
     linear_blend,
     multiply,
+    polar_rotations,
     quaternions,
     rotation_matrices,
 )
@@ -73,6 +74,86 @@ def test_dual_quaternions_are_the_loop(rng):
         turned = np.asarray(multiply(multiply(real, np.array([0.0, *rest[v]])), back))[1:]
         wanted[v] = turned + 2 * np.asarray(multiply(dual, back))[1:]
     np.testing.assert_allclose(dual_quaternion_blend(rest, transforms, influences), wanted, atol=1e-13)
+
+
+def general(rng, *shape):
+    """Transforms that scale and shear too, the first of which mirrors ``(*shape, 3, 4)``."""
+    found = rigid(rng, *shape)
+    found[..., :3] = found[..., :3] @ (np.eye(3) + 0.2 * rng.normal(size=(*shape, 3, 3)))
+    found[0, :, 0] *= -1.5
+    return found
+
+
+def test_scale_goes_before_the_rigid_blend(rng):
+    """Against SciPy's polar decomposition: what stretches is blended linearly, what is left as dual quaternions."""
+    from scipy.linalg import polar
+
+    rest, transforms = rng.normal(size=(VERTICES, 3)), general(rng, BONES)
+    influences = Influences.of(*random_influences(rng), BONES)
+    mirrored = np.sign(np.linalg.det(transforms[:, :, :3]))
+    assert mirrored[0] == -1
+    rotations, stretches = (np.array(p) for p in zip(*(polar(m) for m in transforms[:, :, :3]), strict=True))
+    rotations, stretches = (part * mirrored[:, None, None] for part in (rotations, stretches))
+    stretched = np.einsum("vb,bij,vj->vi", influences.table.matrix.toarray(), stretches, rest)
+    moves = np.concatenate([rotations, transforms[:, :, 3:]], axis=2)
+    wanted = dual_quaternion_blend(stretched, moves, influences)
+    np.testing.assert_allclose(dual_quaternion_blend(rest, transforms, influences), wanted, atol=1e-13)
+
+
+def test_dual_quaternions_with_scale_are_usd_cores(rng):
+    pytest.importorskip("pxr", reason="usd-core is not installed")
+    from pxr import Gf, UsdSkel, Vt  # type: ignore[attr-defined]
+
+    rest, transforms = rng.normal(size=(VERTICES, 3)), general(rng, BONES)
+    indices, weights = random_influences(rng)
+    weights /= weights.sum(axis=1, keepdims=True)
+    points = Vt.Vec3fArray([Gf.Vec3f(*p) for p in rest.tolist()])  # type: ignore[attr-defined]
+    joints = [Gf.Matrix4d(np.vstack([m, [0, 0, 0, 1]]).T.tolist()) for m in transforms]  # type: ignore[attr-defined]
+    done = UsdSkel.SkinPoints(  # type: ignore[attr-defined]
+        UsdSkel.Tokens.dualQuaternion,  # type: ignore[attr-defined]
+        Gf.Matrix4d(1),  # type: ignore[attr-defined]
+        Vt.Matrix4dArray(joints),  # type: ignore[attr-defined]
+        Vt.IntArray(indices.ravel().tolist()),  # type: ignore[attr-defined]
+        Vt.FloatArray(weights.ravel().tolist()),  # type: ignore[attr-defined]
+        indices.shape[1],
+        points,
+    )
+    assert done
+    found = dual_quaternion_blend(rest, transforms, Influences.of(indices, weights, BONES))
+    np.testing.assert_allclose(found, np.array(points), atol=1e-5)  # its points are in single precision
+
+
+@pytest.mark.parametrize("sizes", [(0, 0, 0), (1, 0, 0), (1, 1, 0), (1, 1, 1), (-2, 1, 0), (1e-30, 1e-30, 1e-30)])
+def test_rotations_of_what_flattens_space(sizes):
+    """Whatever is scaled to nothing: rotations all the same, and derivatives that are finite."""
+    matrix = np.diag(np.array(sizes, float))
+    found = np.asarray(polar_rotations(matrix))
+    np.testing.assert_allclose(found @ found.T, np.eye(3), atol=1e-15)
+    assert np.linalg.det(found) > 0
+    assert np.isfinite(jax.jacrev(polar_rotations)(matrix)).all()
+    assert np.isfinite(jax.jacfwd(jax.jacfwd(polar_rotations))(matrix)).all()
+
+
+def test_derivatives_of_polar_rotations(rng):
+    matrices, direction = general(rng, 9)[:, :, :3], rng.normal(size=(9, 3, 3))
+    rate = jax.jvp(polar_rotations, (matrices,), (direction,))[1]
+    there, back = (polar_rotations(matrices + s * direction) for s in (1e-6, -1e-6))
+    np.testing.assert_allclose(rate, (there - back) / 2e-6, atol=1e-7)
+
+
+def test_each_vertex_has_the_deformation_that_its_file_asks_for(rng):
+    rest, transforms = rng.normal(size=(VERTICES, 3)), rigid(rng, BONES)
+    influences = Influences.of(*random_influences(rng), BONES)
+    local = np.concatenate([transforms, np.broadcast_to([[[0, 0, 0, 1.0]]], (BONES, 1, 4))], axis=1)
+    skeleton = Skeleton.of([str(k) for k in range(BONES)], [-1] * BONES, np.broadcast_to(np.eye(4), (BONES, 4, 4)))
+    dual = rng.random(VERTICES) < 0.5
+    for asked in (None, np.zeros(VERTICES, bool), np.ones(VERTICES, bool), dual):
+        found = Rig(skeleton, influences, dual_quaternions=asked).posed(rest, Pose(local))
+        both = [blend(rest, transforms, influences) for blend in (linear_blend, dual_quaternion_blend)]
+        wanted = both[0] if asked is None else np.where(asked[:, None], both[1], both[0])
+        np.testing.assert_allclose(found, wanted, atol=1e-14)
+    with pytest.raises(InputError, match="dual_quaternions must say it of 40 vertices"):
+        Rig(skeleton, influences, dual_quaternions=dual[1:])
 
 
 @pytest.mark.parametrize("blend", [linear_blend, dual_quaternion_blend])

@@ -14,8 +14,9 @@ from slefejax.edges import collapsed, edge_points, shared_edges
 from slefejax.io.numbers import Numbers
 from tests.mixed import as_bv, cube_sphere, in_perspective
 from tests.test_edges import SYMMETRIES
-from tests.test_io import nurbs_usd, usd, write
+from tests.test_io import write
 from tests.test_scene import CUBE
+from tests.test_usd import nurbs_usd, usd
 
 
 def uses(scene):

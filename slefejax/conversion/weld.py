@@ -30,6 +30,7 @@ from scipy.sparse import coo_array
 from slefejax.bezier import elevate
 from slefejax.edges import EDGES, number_by_first_use
 from slefejax.errors import InputError
+from slefejax.late import one_at_a_time
 
 _UNKNOWN_DIGITS = 1e-6  # of the size of a scene
 _ROUNDINGS = 16  # eps of the largest coordinate
@@ -154,7 +155,8 @@ class _Corners:
 
     @staticmethod
     def of(patches: list[Patch], tolerance: float) -> _Corners:
-        from scipy.spatial import KDTree  # slow to import
+        with one_at_a_time:
+            from scipy.spatial import KDTree  # slow to import
 
         place = places(np.array([_corner(patch, k) for patch in patches for k in range(4)])) + 0.0
         number = number_by_first_use(place)
@@ -332,7 +334,8 @@ def _common_corners(
     for owner, other, backwards, _ in twins:
         links += zip(_ends(owner), _ends(other)[:: -1 if backwards else 1], strict=True)
     one, two = np.array(links).T
-    from scipy.sparse.csgraph import connected_components  # slow to import
+    with one_at_a_time:
+        from scipy.sparse.csgraph import connected_components  # slow to import
 
     graph = coo_array((np.ones(len(one), bool), (one, two)), (4 * len(patches),) * 2)
     _, place = connected_components(graph, directed=False)

@@ -15,6 +15,7 @@ import numpy as np
 
 from slefejax.conversion.catmull_clark import refine
 from slefejax.io.content import Content
+from slefejax.late import one_at_a_time
 from slefejax.mesh import Mesh
 from slefejax.rig import Motion, Rig, Skeleton
 from slefejax.skinning import Influences, Key, ShapeKeys
@@ -209,7 +210,8 @@ def _walk(names: list[str], parents: list[int], heads: np.ndarray) -> Motion:
     turns["chest"][:, 2] = 7.0 * np.sin(phase)
     turns["head"][:, 2] = -6.0 * np.sin(phase)
     turns["head"][:, 0] = 2.0 * np.cos(2.0 * phase)
-    from scipy.spatial.transform import Rotation  # slow to import
+    with one_at_a_time:
+        from scipy.spatial.transform import Rotation  # slow to import
 
     rotations = np.stack([Rotation.from_euler("XYZ", turns[n], degrees=True).as_quat() for n in names], axis=1)
     offsets = heads - np.where(np.array(parents)[:, None] >= 0, heads[parents], 0.0)

@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 
 from slefejax.io.limits import check_numbers
 from slefejax.io.numbers import Numbers
+from slefejax.late import one_at_a_time
 from slefejax.rig import Motion
 
 _CHANNELS = {f"{axis}{kind}": (kind, k) for kind in ("position", "rotation") for k, axis in enumerate("XYZ")}
@@ -141,7 +142,8 @@ def _frames(numbers: Numbers) -> tuple[int, float]:
 
 
 def _motion(joints: list[_Joint], offsets: np.ndarray, values: np.ndarray, interval: float) -> Motion:
-    from scipy.spatial.transform import Rotation
+    with one_at_a_time:
+        from scipy.spatial.transform import Rotation
 
     translations = np.repeat(offsets[None], len(values), axis=0)
     rotations = np.zeros((len(values), len(joints), 4))

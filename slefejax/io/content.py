@@ -83,7 +83,8 @@ def probe(kind: str, path: Path) -> None:
     command = [sys.executable, "-I", str(Path(__file__).with_name("probe.py")), kind, str(path), str(megabytes)]
     ended = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True)
     if ended.returncode:
-        raise InputError(f"{path} is no {kind.upper()} file that can be read: is it complete?")
+        said = ended.stdout.decode(errors="replace").strip() or "is it complete?"
+        raise InputError(f"{path} is no {kind.upper()} file that can be read: {said}")
 
 
 def joined(meshes: list[Mesh], counts: list[int] | None = None) -> Mesh:

@@ -54,7 +54,8 @@ def _rig(rig: Rig, places: np.ndarray) -> Rig:
         table = _blocks(rig.keys.table, count)
         keys = ShapeKeys(_names(rig.keys.names, count), table, rig.keys.places * count)
     motion = None if rig.motion is None else _motion(rig, rig.motion, places)
-    return Rig(skeleton, influences, keys, motion, rig.rate, _rest(rig, places))
+    dual = None if rig.dual_quaternions is None else np.tile(rig.dual_quaternions, count)
+    return Rig(skeleton, influences, keys, motion, rig.rate, _rest(rig, places), dual)
 
 
 def _rest(rig: Rig, places: np.ndarray) -> Pose:

@@ -21,6 +21,7 @@ from slefejax.io.content import Content, read_bytes
 from slefejax.io.limits import LARGEST_TEXT, check_numbers
 from slefejax.io.numbers import Numbers, parse_whole
 from slefejax.io.obj import read_obj
+from slefejax.late import one_at_a_time
 from slefejax.rig import Motion, Rig, Skeleton
 from slefejax.skinning import Influences, Key, ShapeKeys
 
@@ -148,7 +149,8 @@ def _motion(path: Path, skeleton: Skeleton, heads: np.ndarray, keys: int) -> Mot
     missing = sorted(set(skeleton.names) - set(pose.names))
     if missing:
         raise InputError(f"{path} does not move bone {missing[0]!r} of the skeleton: is the pose for another one?")
-    from scipy.spatial.transform import Rotation
+    with one_at_a_time:
+        from scipy.spatial.transform import Rotation
 
     number = {name: k for k, name in reversed(list(enumerate(pose.names)))}  # the first of equal ones
     own = [number[name] for name in skeleton.names]

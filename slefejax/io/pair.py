@@ -144,7 +144,7 @@ def _mesh(arrays: _Arrays) -> Mesh:
 def _rig(arrays: _Arrays, mesh: Mesh, joints: list, keys: list, rate: float) -> Rig | None:
     if not joints and not keys:
         return None
-    count, skeleton, influences = mesh.vertex_count, None, None
+    count, skeleton, influences, dual = mesh.vertex_count, None, None, None
     if joints:
         names, parents = zip(*joints, strict=True)
         bind = arrays.get("bind", (len(joints), 4, 4)) if "bind" in arrays else None
@@ -152,12 +152,14 @@ def _rig(arrays: _Arrays, mesh: Mesh, joints: list, keys: list, rate: float) -> 
         indices = arrays.get("influence_joints", (count, None), "iu")
         weights = arrays.get("influence_weights", indices.shape)
         influences = Influences.of(indices, weights, len(joints))
+        if "dual_quaternions" in arrays:
+            dual = arrays.get("dual_quaternions", (count,), "iu") != 0
     shapes = ShapeKeys.of([_key(arrays, k, *key) for k, key in enumerate(keys)], count) if keys else None
     rest = Pose(
         arrays.get("rest_joints", (len(joints), 4, 4)) if "rest_joints" in arrays else None,
         arrays.get("rest_keys", (len(keys),)) if "rest_keys" in arrays else None,
     )
-    return Rig(skeleton, influences, shapes, _motion(arrays, len(joints), len(keys)), rate, rest)
+    return Rig(skeleton, influences, shapes, _motion(arrays, len(joints), len(keys)), rate, rest, dual)
 
 
 def _key(arrays: _Arrays, number: int, name: str, places: tuple[float, ...]) -> Key:
@@ -223,6 +225,8 @@ def _describe(rig: Rig, names: dict[str, Any], arrays: dict[str, Any]) -> None:
         names["joints"] = [{"name": n, "parent": int(p)} for n, p in zip(own.names, own.parents, strict=True)]
         arrays["bind"] = own.bind
         arrays["influence_joints"], arrays["influence_weights"] = _padded(rig.influences.table)
+        if rig.dual_quaternions is not None:
+            arrays["dual_quaternions"] = rig.dual_quaternions.astype(np.uint8)
     if rig.keys is not None:
         names["keys"] = [
             {"name": n, "places": list(p[1:])} for n, p in zip(rig.keys.names, rig.keys.places, strict=True)

@@ -20,6 +20,7 @@ from slefejax.errors import InputError
 from slefejax.io.content import Content, Spline, joined, probe, read_bytes
 from slefejax.io.limits import check_numbers
 from slefejax.io.rhino_blocks import Blocks
+from slefejax.late import one_at_a_time
 from slefejax.mesh import Mesh
 
 
@@ -31,7 +32,8 @@ def read_3dm(path: Path) -> Content:
     """
     read_bytes(path)  # says what is wrong with the file itself
     try:
-        import rhino3dm
+        with one_at_a_time:
+            import rhino3dm
     except ImportError:
         raise InputError(f"{path}: to read .3dm, install rhino3dm (pip install 'slefejax[rhino]')") from None
     probe("3dm", path)

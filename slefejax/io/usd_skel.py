@@ -1,214 +1,269 @@
-"""Skeletons, animation and blend shapes of USD (UsdSkel), in the coordinates of the stage.
+"""Skeletons, influences and blend shapes of USD (UsdSkel).
 
-USD multiplies row vectors from the left; here matrices are transposed once, where they are read. A skinned mesh stands
-where its geometry bind transform and its skeleton put it, not where its own transform would.
+A skinned mesh stands where its geometry bind transform and its skeleton put it, not where its own transform would.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from slefejax.errors import InputError
-from slefejax.rig import Motion, Rig, Skeleton, transform_parts
-from slefejax.skinning import Influences, Key, ShapeKeys
+from slefejax.io.usd_library import Library
+from slefejax.io.usd_places import Mover, Places, matrix
+from slefejax.skinning import Key
+
+_SAME = 1e-6  # weights of in-betweens, as usd-core has it
+_SUM = 1e-3  # of weights beside 1, which files round
+
+
+@dataclass(eq=False)
+class Bones:
+    """A skeleton of the stage.
+
+    below, place : from its coordinates to those of its mover, and to where meshes are put
+    """
+
+    query: Any
+    mover: Mover | None
+    below: Float[np.ndarray, "4 4"]
+    place: Float[np.ndarray, "4 4"]
+
+    @property
+    def path(self) -> str:
+        """Of its prim."""
+        return str(self.query.GetPrim().GetPath())
+
+    @cached_property
+    def joints(self) -> list[str]:
+        """Their names."""
+        return [str(name) for name in self.query.GetJointOrder()]
+
+    def parents(self) -> list[int]:
+        """Number of the parent of each joint, -1 for roots."""
+        topology = self.query.GetTopology()
+        return [topology.GetParent(joint) for joint in range(len(self.joints))]
+
+    def bind(self) -> Float[np.ndarray, "joints 4 4"]:
+        """From joints to the skeleton. Raises InputError if there is none for each of them."""
+        found = self.query.GetJointWorldBindTransforms()
+        if not found or len(found) != len(self.joints):
+            raise InputError(f"skeleton {self.path} has no bind transform of each of its joints")
+        return np.array([matrix(own) for own in found])
+
+    def local(self, code: Any) -> Float[np.ndarray, "joints 4 4"]:
+        """From joints to their parents at a time: animated, else at rest, else as bound."""
+        found = (
+            self.query.ComputeJointLocalTransforms(code) if self.has_rest or self.animated == set(self.joints) else ()
+        )
+        if len(found or ()) == len(self.joints):
+            return np.array([matrix(own) for own in found]).reshape(-1, 4, 4)
+        bind = self.bind()
+        above = [np.eye(4) if parent < 0 else bind[parent] for parent in self.parents()]
+        return np.array([np.linalg.solve(a, b) for a, b in zip(above, bind, strict=True)]).reshape(-1, 4, 4)
+
+    @cached_property
+    def has_rest(self) -> bool:
+        """Whether there is a rest transform of each of its joints."""
+        skeleton = self.query.GetSkeleton()
+        return len(skeleton.GetRestTransformsAttr().Get() or ()) == len(self.joints)
+
+    @cached_property
+    def animation(self) -> Any:
+        """What animates it, or None."""
+        return self.query.GetAnimQuery() or None
+
+    @cached_property
+    def animated(self) -> set[str]:
+        """The joints that its animation moves."""
+        own = self.animation
+        return {str(name) for name in own.GetJointOrder()} & set(self.joints) if own else set()
+
+    def mirrors(self, code: Any) -> Float[np.ndarray, "joints"]:
+        """-1 for joints that turn what is bound to them inside out at a time, 1 for others."""
+        local, parents = self.local(code), self.parents()
+        sign = np.sign(np.linalg.det(local[:, :3, :3]))
+        for joint, parent in enumerate(parents):  # parents come first
+            sign[joint] *= 1.0 if parent < 0 else sign[parent]
+        return np.where(sign * np.sign(np.linalg.det(self.bind()[:, :3, :3])) < 0, -1.0, 1.0)
+
+
+@dataclass(eq=False)
+class Bound:
+    """What a mesh is bound to.
+
+    bones            : its skeleton
+    place            : from its own coordinates to where it is put
+    indices, weights : ``(points, k)`` joints of the skeleton and weights; k is 0 if only blend shapes move it
+    dual             : whether its joints are blended by dual quaternions
+    mirrored         : whether its joints turn it inside out at rest
+    keys             : its blend shapes
+    """
+
+    bones: Bones
+    place: Float[np.ndarray, "4 4"]
+    indices: Int[np.ndarray, "points k"]
+    weights: Float[np.ndarray, "points k"]
+    dual: bool
+    mirrored: bool
+    keys: list[Key]
+
+    @property
+    def skinned(self) -> bool:
+        """Whether joints move it."""
+        return self.indices.shape[1] > 0
 
 
 @dataclass
-class _Bound:
-    """What a mesh is bound to: number of its skeleton, joints and weights of its points, blend shapes."""
+class Skinning:
+    """What is bound to the skeletons of a stage; what is changed or not followed stands in notes."""
 
-    skeleton: int
-    place: np.ndarray
-    indices: np.ndarray
-    weights: np.ndarray
-    keys: list[Key] = field(default_factory=list)
+    library: Library
+    places: Places
+    targets: dict[str, tuple[Any, int]] = field(default_factory=dict)
+    found: list[Any] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    _bones: dict[int, Bones] = field(default_factory=dict)
+    _checked: set[str] = field(default_factory=set)
 
-
-@dataclass
-class SkelReader:
-    """Everything below the skeleton roots of a stage. ``place`` of a mesh, then ``rig`` of all meshes together."""
-
-    path: Any
-    stage: Any
-    time: Any
-    skeletons: list[Any] = field(default_factory=list)
-    bound: dict[str, _Bound] = field(default_factory=dict)
-    places: list[np.ndarray] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        from pxr import Usd, UsdGeom, UsdSkel
-
-        usd: Any = Usd
-        skel: Any = UsdSkel
-        self.skel, self.usd = skel, usd
-        geometry: Any = UsdGeom
-        transforms = geometry.XformCache(self.time)
-        cache = skel.Cache()
-        proxies = usd.TraverseInstanceProxies()
-        for prim in usd.PrimRange.Stage(self.stage, proxies):
-            if not prim.IsA(skel.Root):
+    @staticmethod
+    def of(library: Library, stage: Any, places: Places) -> Skinning:
+        """Whatever is bound below the skeleton roots of a stage."""
+        self = Skinning(library, places)
+        cache, proxies = library.skel.Cache(), library.usd.TraverseInstanceProxies()
+        for prim in library.usd.PrimRange.Stage(stage, proxies):
+            if not prim.IsA(library.skel.Root):
                 continue
-            root = skel.Root(prim)
+            root = library.skel.Root(prim)
             cache.Populate(root, proxies)
             for binding in cache.ComputeSkelBindings(root, proxies):
-                query = cache.GetSkelQuery(binding.GetSkeleton())
-                self.places.append(_matrix(transforms.GetLocalToWorldTransform(query.GetPrim())))
-                self.skeletons.append(query)
+                self.found.append(cache.GetSkelQuery(binding.GetSkeleton()))
                 for target in binding.GetSkinningTargets():
-                    self._bind(target, len(self.skeletons) - 1)
+                    self.targets[str(target.GetPrim().GetPath())] = (target, len(self.found) - 1)
+        return self
 
-    def _bind(self, target: Any, number: int) -> None:
-        prim = target.GetPrim()
-        name = f"{self.path}: {prim.GetPath()}"
-        joints = list(self.skeletons[number].GetJointOrder())
-        points = prim.GetAttribute("points").Get(self.time)
-        keys = self._keys(prim, name, len(points or ()))
-        indices, weights = np.zeros((len(points or ()), 0), np.int64), np.zeros((len(points or ()), 0))
-        if target.HasJointInfluences() and points is not None:
-            found = target.ComputeVaryingJointInfluences(len(points), self.time)
-            if not found:
-                raise InputError(f"{name}: its joint indices and weights do not fit its {len(points)} points")
-            indices = np.array(found[0], np.int64).reshape(len(points), -1)
-            weights = np.array(found[1], np.float64).reshape(len(points), -1)
-            own = list(target.GetJointOrder() or joints)
-            missing = [joint for joint in own if joint not in joints]
-            if missing:
-                raise InputError(f"{name} is bound to joint {missing[0]!r}, which its skeleton does not have")
-            beyond = (indices < 0) | (indices >= len(own))
-            if beyond.any():
-                raise InputError(
-                    f"{name} has a weight for joint {indices[beyond][0]}, but is bound to {len(own)} joints"
-                )
-            indices = np.array([joints.index(joint) for joint in own])[indices]
-        place = self.places[number] @ _matrix(target.GetGeomBindTransform(self.time))
-        self.bound[str(prim.GetPath())] = _Bound(number, place, indices, weights, keys)
+    def bind(self, prim: Any) -> Bound | None:
+        """What a mesh is bound to; None if neither joints nor blend shapes move it.
 
-    def _keys(self, prim: Any, name: str, points: int) -> list[Key]:
-        query = self.skel.BlendShapeQuery(self.skel.BindingAPI(prim))
-        names = self.skel.BindingAPI(prim).GetBlendShapesAttr().Get() or []
+        Raises InputError for influences and blend shapes that do not fit it.
+        """
+        path = str(prim.GetPath())
+        if path not in self.targets:
+            if prim.HasAttribute("primvars:skel:jointIndices"):
+                self.notes.append(f"{path} has joints, but no skeleton below one root with it: it was not skinned")
+            return None
+        target, number = self.targets[path]
+        count = len(prim.GetAttribute("points").Get(self.places.time) or ())
+        bones = self._skeleton(number)
+        indices, weights = np.zeros((count, 0), np.int64), np.zeros((count, 0))
+        place = self.places.bound(prim)
+        if target.HasJointInfluences() and count:
+            indices, weights = self._influences(target, bones, path, count)
+            self._check(bones)
+            place = bones.place @ matrix(target.GetGeomBindTransform(self.places.time))
+        keys = self._keys(prim, path, count, place)
+        if not keys and not indices.shape[1]:
+            return None
+        dual = str(target.GetSkinningMethod()) == str(self.library.skel.Tokens.dualQuaternion)
+        mirrored = False
+        if indices.shape[1]:
+            mirrored = bool(np.sum(weights * bones.mirrors(self.places.time)[indices]) < 0)
+        return Bound(bones, place, indices, weights, dual, mirrored, keys)
+
+    def _skeleton(self, number: int) -> Bones:
+        if number not in self._bones:
+            query = self.found[number]
+            prim = query.GetPrim()
+            self._bones[number] = Bones(
+                query, self.places.mover(prim), self.places.below(prim), self.places.bound(prim)
+            )
+        return self._bones[number]
+
+    def _check(self, bones: Bones) -> None:
+        """Raise InputError without bind transforms, and where a joint is animated and another stands nowhere."""
+        bones.bind()
+        count = len(bones.joints)
+        if bones.path in self._checked or bones.has_rest or len(bones.animated) == count:
+            return
+        self._checked.add(bones.path)
+        what = f"skeleton {bones.path} has no restTransforms of its {count} joints"
+        if bones.animated:
+            animation = bones.animation.GetPrim().GetPath()
+            raise InputError(
+                f"{what}, and its animation {animation} moves {len(bones.animated)} of them only:"
+                " write restTransforms for where the others are"
+            )
+        self.notes.append(f"{what}: they rest as they are bound")
+
+    def _influences(self, target: Any, bones: Bones, path: str, count: int) -> tuple[np.ndarray, np.ndarray]:
+        found = target.ComputeVaryingJointInfluences(count, self.places.time)
+        if not found:
+            raise InputError(f"{path}: its joint indices and weights do not fit its {count} points")
+        indices = np.array(found[0], np.int64).reshape(count, -1)
+        weights = np.array(found[1], np.float64).reshape(count, -1)
+        joints = bones.joints
+        own = [str(joint) for joint in target.GetJointOrder() or joints]
+        numbers = {joint: number for number, joint in enumerate(joints)}
+        missing = [joint for joint in own if joint not in numbers]
+        if missing:
+            raise InputError(f"{path} is bound to joint {missing[0]!r}, which its skeleton does not have")
+        beyond = (indices < 0) | (indices >= len(own))
+        if beyond.any():
+            raise InputError(f"{path} has a weight for joint {indices[beyond][0]}, but is bound to {len(own)} joints")
+        sums = weights.sum(axis=1)
+        odd = np.count_nonzero((np.abs(sums - 1.0) > _SUM) & (sums != 0))
+        if odd:
+            self.notes.append(f"{path}: the weights of {odd} points do not add up to 1, and were divided by their sum")
+        return np.array([numbers[joint] for joint in own], np.int64)[indices], weights
+
+    def _keys(self, prim: Any, path: str, count: int, place: Float[np.ndarray, "4 4"]) -> list[Key]:
+        binding = self.library.skel.BindingAPI(prim)
+        names = binding.GetBlendShapesAttr().Get() or []
         if not names:
             return []
+        query = self.library.skel.BlendShapeQuery(binding)
         if len(names) != query.GetNumBlendShapes():
-            raise InputError(f"{name} names {len(names)} blend shapes, but has {query.GetNumBlendShapes()}")
+            raise InputError(f"{path} names {len(names)} blend shapes, but has {query.GetNumBlendShapes()}")
         keys = []
         for number, key in enumerate(names):
             shape = query.GetBlendShape(number)
-            offsets = np.array(shape.GetOffsetsAttr().Get() or [], np.float64).reshape(-1, 3)
-            given = shape.GetPointIndicesAttr().Get()
-            indices = np.arange(len(offsets)) if given is None else np.array(given, np.int64)
-            if indices.size and not 0 <= indices.min() <= indices.max() < points:
-                raise InputError(f"{name}: blend shape {key!r} moves point {indices.max()}, but there are {points}")
-            shapes, places = [(indices, offsets)], [1.0]
-            for between in shape.GetInbetweens():
-                shapes.append((indices, np.array(between.GetOffsets(), np.float64).reshape(-1, 3)))
-                places.append(float(between.GetWeight()))
-            keys.append(Key(str(key), tuple(shapes), tuple(places)))
+            if not shape:
+                raise InputError(f"{path}: the target of blend shape {key!r} is none")
+            given = np.array(shape.GetPointIndicesAttr().Get() or [], np.int64)
+            if given.size and not 0 <= given.min() <= given.max() < count:
+                bad = given.max() if given.max() >= count else given.min()
+                raise InputError(f"{path}: blend shape {key!r} moves point {bad}, but there are {count}")
+            given = given if given.size else np.arange(count)
+            parts = [(shape.GetOffsetsAttr().Get(), 1.0), *self._between(shape, path)]
+            shapes = tuple(_moves(offsets, given, place, f"{path}: blend shape {key!r}") for offsets, _ in parts)
+            keys.append(Key(str(key), shapes, tuple(weight for _, weight in parts)))
         return keys
 
-    def place(self, path: str) -> np.ndarray | None:
-        """Where a skinned mesh stands at rest, ``(4, 4)``; None if it is not skinned."""
-        bound = self.bound.get(path)
-        return None if bound is None or not bound.indices.shape[1] else bound.place
-
-    def rig(self, meshes: list[tuple[str, int, int]]) -> Rig | None:
-        """The rig of meshes joined in this order: (path, vertices, where they begin). None if nothing moves them."""
-        own = [(self.bound[path], count, start) for path, count, start in meshes if path in self.bound]
-        if not own:
-            return None
-        total = sum(count for _, count, _ in meshes)
-        keys = _joined_keys(own)
-        skinned = any(bound.indices.shape[1] for bound, _, _ in own)
-        skeleton, influences = self._skeleton(own, total) if skinned else (None, None)
-        motion = self._motion(skeleton, [key.name for key in keys])
-        rate = float(self.stage.GetTimeCodesPerSecond())
-        return Rig(skeleton, influences, ShapeKeys.of(keys, total) if keys else None, motion, rate)
-
-    def _skeleton(self, own: list[tuple[_Bound, int, int]], total: int) -> tuple[Skeleton, Influences]:
-        """All skeletons as one, and a joint that stays for what none of them moves."""
-        names, parents, binds, starts = ["(fixed)"], [-1], [np.eye(4)], []
-        for number, query in enumerate(self.skeletons):
-            starts.append(len(names))
-            topology = query.GetTopology()
-            for joint, name in enumerate(query.GetJointOrder()):
-                names.append(str(name))
-                parent = topology.GetParent(joint)
-                parents.append(parent + starts[-1] if parent >= 0 else -1)
-            bind = query.GetJointWorldBindTransforms()
-            if not bind or len(bind) != len(query.GetJointOrder()):
-                raise InputError(
-                    f"{self.path}: skeleton {query.GetPrim().GetPath()} has no bind transform of each of its joints"
-                )
-            binds += [self.places[number] @ _matrix(m) for m in bind]
-        width = max(1, *(bound.indices.shape[1] for bound, _, _ in own))
-        indices, weights = np.zeros((total, width), np.int64), np.zeros((total, width))
-        weights[:, 0] = 1.0
-        for bound, count, start in own:
-            if k := bound.indices.shape[1]:
-                indices[start : start + count] = 0
-                weights[start : start + count] = 0.0
-                indices[start : start + count, :k] = bound.indices + starts[bound.skeleton]
-                weights[start : start + count, :k] = bound.weights
-        try:
-            return Skeleton.of(names, parents, np.array(binds)), Influences.of(indices, weights, len(names))
-        except InputError as error:
-            raise InputError(f"{self.path}: {error}") from None
-
-    def _motion(self, skeleton: Skeleton | None, keys: list[str]) -> Motion | None:
-        queries = [query.GetAnimQuery() for query in self.skeletons]
-        times = sorted({t for q in queries if q for t in (*q.GetJointTransformTimeSamples(), *_weight_times(q))})
-        if not any(bool(query) for query in queries):
-            return None
-        codes = [self.usd.TimeCode(t) for t in times] or [self.usd.TimeCode.Default()]
-        samples = [self._pose(skeleton, code) for code in codes] if skeleton is not None else []
-        parts = [np.array(part) for part in zip(*samples, strict=True)] if samples else [None, None, None]
-        weights = np.array([self._weights(queries, keys, code) for code in codes]) if keys else None
-        return Motion(np.array(times or [0.0], float), parts[0], parts[1], parts[2], weights)
-
-    def _pose(self, skeleton: Skeleton, code: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Translations, rotations, scales of all joints at a time."""
-        matrices = [np.eye(4)]
-        for number, query in enumerate(self.skeletons):
-            local = query.ComputeJointLocalTransforms(code)
-            parents = skeleton.parents[len(matrices) :][: len(local)]
-            for matrix, parent in zip(local, parents, strict=True):
-                own = _matrix(matrix)
-                matrices.append(self.places[number] @ own if parent < 0 else own)
-        parts = [transform_parts(matrix) for matrix in matrices]
-        return tuple(np.array(part) for part in zip(*parts, strict=True))  # type: ignore[return-value]
-
-    def _weights(self, queries: list[Any], keys: list[str], code: Any) -> list[float]:
-        found: dict[str, float] = {}
-        for query in queries:
-            if query:
-                names = [str(name) for name in query.GetBlendShapeOrder()]
-                found |= dict(zip(names, query.ComputeBlendShapeWeights(code) or [0.0] * len(names), strict=True))
-        return [float(found.get(key, 0.0)) for key in keys]
+    def _between(self, shape: Any, path: str) -> list[tuple[Any, float]]:
+        """Offsets and weights of the shapes in between."""
+        found: list[tuple[Any, float]] = []
+        for between in shape.GetInbetweens():
+            weight, name = float(between.GetWeight() or 0.0), between.GetAttr().GetPath()
+            if not np.isfinite(weight) or min(abs(weight), abs(weight - 1.0)) <= _SAME:
+                self.notes.append(f"{name} is in between at weight {weight:g}, which is none: it was left out")
+            elif any(abs(weight - other) <= _SAME for _, other in found):
+                raise InputError(f"{name}: another shape in between has the same weight {weight:g}")
+            else:
+                found.append((between.GetOffsets(), weight))
+        return found
 
 
-def _joined_keys(own: list[tuple[_Bound, int, int]]) -> list[Key]:
-    """Keys of all meshes with their vertices numbered on; those of one name at the same places are one."""
-    found: dict[str, Key] = {}
-    for bound, _, start in own:
-        for key in bound.keys:
-            shapes = tuple((np.asarray(indices) + start, offsets) for indices, offsets in key.shapes)
-            before = found.get(key.name)
-            if before is not None:
-                if before.places != key.places:
-                    raise InputError(f"blend shape {key.name!r} has in-betweens at other weights in another mesh")
-                shapes = tuple(
-                    (np.concatenate([a[0], b[0]]), np.concatenate([a[1], b[1]]))
-                    for a, b in zip(before.shapes, shapes, strict=True)
-                )
-            found[key.name] = Key(key.name, shapes, key.places)
-    return list(found.values())
-
-
-def _weight_times(query: Any) -> list[float]:
-    return list(query.GetBlendShapeWeightTimeSamples())
-
-
-def _matrix(matrix: Any) -> np.ndarray:
-    return np.array(matrix, np.float64).T
+def _moves(
+    given: Any, points: Int[np.ndarray, "points"], place: Float[np.ndarray, "4 4"], what: str
+) -> tuple[Int[np.ndarray, "points"], Float[np.ndarray, "points 3"]]:
+    """The points that a shape moves, and how far, where the mesh is put. No offsets move nothing."""
+    offsets = np.array(given if given is not None else [], np.float64).reshape(-1, 3)
+    if not len(offsets):
+        return points[:0], offsets
+    if len(offsets) != len(points):
+        raise InputError(f"{what} needs {len(points)} offsets, not {len(offsets)}")
+    return points, offsets @ place[:3, :3].T
