@@ -10,6 +10,7 @@ import numpy as np
 import tyro
 
 from slefejax import InputError, View, screen_widths, slefe_boxes, tessellation_factors, worst_points
+from slefejax.arguments import no_such
 from slefejax.bezier import evaluate_patch
 from slefejax.experiments import reference
 from slefejax.experiments.options import OutputOptions
@@ -59,14 +60,16 @@ class Stability:
         names = [family.name for family in FAMILIES]
         unknown = [name for name in self.only if name not in names]
         if unknown:
-            raise InputError(f"there is no family {unknown[0]!r}: choose among {', '.join(names)}")
+            raise InputError(no_such("family", unknown[0], names))
         found = {}
         for family in FAMILIES:
             if self.only and family.name not in self.only:
                 continue
             values = family.values
-            for value in {values[0], values[len(values) // 2], values[-1]} if self.quick else values:
-                found |= {f"{family.name}, {value:g}, {name}": (family, value, name) for name in PRECISIONS}
+            if self.quick:
+                values = tuple(dict.fromkeys((values[0], values[len(values) // 2], values[-1])))
+            for value in values:
+                found |= {f"{family.name}, {value!r}, {name}": (family, value, name) for name in PRECISIONS}
         return found
 
 
