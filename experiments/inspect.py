@@ -148,7 +148,8 @@ def patch_row(scene: Scene) -> Row:
 def _up(scene: Scene, path: Path) -> str:
     """The direction that is up, and who says so: nothing is guessed from the shape."""
     named = {(0.0, 1.0, 0.0): "y", (0.0, 0.0, 1.0): "z"}
-    up = named.get(tuple(map(float, scene.up)), " ".join(f"{x:g}" for x in scene.up))
+    x, y, z = scene.up
+    up = named.get((float(x), float(y), float(z)), f"{x:g} {y:g} {z:g}")
     if str(path) in BUILT_IN:
         return up
     suffix = path.suffix.lower()

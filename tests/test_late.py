@@ -10,7 +10,8 @@ import pytest
 
 from slefejax import save
 from tests.meshes import cube
-from tests.test_io import BV, OBJ, ply, write
+from tests.test_io import BV, OBJ, write
+from tests.test_ply import ply
 from tests.test_usd import USD, nurbs_usd
 from tests.test_usd_skel import ARM
 
