@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import stat
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from slefejax.errors import InputError
+from slefejax.io.limits import LARGEST_FILE, check_size
 from slefejax.mesh import Mesh
 from slefejax.rig import Rig
 
@@ -58,14 +60,21 @@ class Content:
     digits: float | None = None
 
 
-def read_bytes(path: Path) -> bytes:
-    """All of a file, or InputError that says why not."""
+def read_bytes(path: Path, largest: int = LARGEST_FILE) -> bytes:
+    """All of a plain file of at most so many bytes, or InputError that says why not."""
     try:
-        return path.read_bytes()
+        found = path.stat()
+        special = not (stat.S_ISREG(found.st_mode) or stat.S_ISDIR(found.st_mode))
+        data = None if special or found.st_size > largest else path.read_bytes()
     except FileNotFoundError:
         raise InputError(f"there is no file {path}: check the name") from None
     except (OSError, ValueError) as error:  # a name may hold what no name can
         raise InputError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    if special:
+        raise InputError(f"{path} is a device or a pipe: only plain files are read")
+    check_size(path, found.st_size, largest)
+    assert data is not None
+    return data
 
 
 def probe(kind: str, path: Path) -> None:

@@ -17,6 +17,7 @@ from slefejax.arguments import whole_numbers
 from slefejax.errors import InputError
 from slefejax.io.bvh import Bvh, read_bvh
 from slefejax.io.content import Content, read_bytes
+from slefejax.io.limits import LARGEST_TEXT
 from slefejax.io.numbers import Numbers
 from slefejax.io.obj import read_obj
 from slefejax.rig import Motion, Rig, Skeleton
@@ -49,10 +50,11 @@ def _one(folder: Path, suffix: str) -> Path:
 
 
 def _json(path: Path, *names: str) -> list[dict]:
+    data = read_bytes(path, LARGEST_TEXT)
     try:
-        content = json.loads(read_bytes(path))
+        content = json.loads(data)
         return [dict(content[name]) for name in names]
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         raise InputError(f"{path} is no JSON object with {' and '.join(map(repr, names))}: is it complete?") from None
 
 

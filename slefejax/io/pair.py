@@ -19,6 +19,7 @@ import numpy as np
 
 from slefejax.errors import InputError
 from slefejax.io.content import Content, read_bytes
+from slefejax.io.limits import LARGEST_TEXT
 from slefejax.mesh import Mesh
 from slefejax.rig import Motion, Rig, Skeleton
 from slefejax.skinning import Influences, Key, ShapeKeys
@@ -41,8 +42,9 @@ def read_pair(path: Path) -> Content:
 
     Raises InputError for what is none of a pair, or not whole.
     """
+    data = read_bytes(path, LARGEST_TEXT)
     try:
-        names = json.loads(read_bytes(path))
+        names = json.loads(data)
         if names["format"] != FORMAT or names["version"] != VERSION:
             raise ValueError
         joints = [(str(joint["name"]), int(joint["parent"])) for joint in names.get("joints", [])]
