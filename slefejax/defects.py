@@ -28,10 +28,12 @@ class Defect:
 def find_defects(mesh: Mesh) -> list[Defect]:
     """All kinds of defects that no surface can be made of; an empty list if there are none.
 
-    Faces that name a vertex twice, faces with the same vertices, edges of more than two faces, neighbours that run
-    along their edge in the same direction, vertices where fans of faces only touch. Faces have the numbers of their
-    file, everything is counted from 0.
+    Faces of fewer than three vertices, faces that name a vertex twice, faces with the same vertices, edges of more than
+    two faces, neighbours that run along their edge in the same direction, vertices where fans of faces only touch.
+    Faces have the numbers of their file, everything is counted from 0.
     """
+    if (small := _small(mesh)) is not None:
+        return [small]
     found = [_degenerate(mesh), _duplicates(mesh)]
     found = [defect for defect in found if defect is not None]
     if found:  # they spoil the edges, too
@@ -79,6 +81,15 @@ def isolated_vertices(mesh: Mesh) -> Int[np.ndarray, "isolated"]:
 def _some(numbers: np.ndarray, most: int = 4) -> str:
     said = ", ".join(str(n) for n in numbers[:most].tolist())
     return said + (", …" if len(numbers) > most else "")
+
+
+def _small(mesh: Mesh) -> Defect | None:
+    faces = mesh.sizes < 3
+    if not faces.any():
+        return None
+    first = np.flatnonzero(faces)[0]
+    what = f"face {mesh.numbers[first]} has {mesh.sizes[first]} vertices, and needs three"
+    return Defect(what + _more(int(faces.sum())), int(faces.sum()), faces)
 
 
 def _degenerate(mesh: Mesh) -> Defect | None:

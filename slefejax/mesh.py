@@ -85,6 +85,9 @@ class Mesh:
         except TypeError:
             raise InputError("faces must be sequences of vertex numbers, one for each face") from None
         sizes = np.array([len(face) for face in lists], np.int64)
+        few = np.flatnonzero(sizes < 3)
+        if few.size:
+            raise InputError(f"face {few[0]} (counted from 0) has {sizes[few[0]]} vertices: it needs three")
         corners = [v for face in lists for v in face]
         if not all(isinstance(v, (int, np.integer)) for v in corners):
             raise InputError("faces must name vertices by whole numbers, from 0 on")
@@ -93,6 +96,9 @@ class Mesh:
     @staticmethod
     def packed(vertices: Any, corners: Any, sizes: Any, numbers: Any = None, **sharp: Any) -> Mesh:
         """The same from all corners in one array and the number of corners of every face; checked likewise.
+
+        Faces of fewer than three corners, which files have, are taken: they are a defect (``defects``) that is told or
+        dropped with the others.
 
         numbers : of the faces in their file, if those are not 0, 1, 2 …
         sharp   : ``creases``, ``crease_sharpness``, ``points``, ``point_sharpness``
@@ -107,9 +113,8 @@ class Mesh:
         bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
         if bad.size:
             raise InputError(f"vertex {bad[0]} (counted from 0) is not at a finite place: {vertices[bad[0]].tolist()}")
-        few = np.flatnonzero(sizes < 3)
-        if few.size:
-            raise InputError(f"face {numbers[few[0]]} (counted from 0) has {sizes[few[0]]} vertices: it needs three")
+        if np.any(sizes < 0):
+            raise InputError("a face has a negative number of vertices")
         offsets = np.concatenate([[0], np.cumsum(sizes)])
         wrong = np.flatnonzero((corners < 0) | (corners >= len(vertices)))
         if wrong.size:
@@ -149,14 +154,16 @@ class Mesh:
     def next_corner(self) -> Int[np.ndarray, "corners"]:
         """The corner that follows in the face."""
         following = np.arange(1, len(self.corners) + 1)
-        following[self.offsets[1:] - 1] = self.offsets[:-1]
+        some = self.sizes > 0
+        following[self.offsets[1:][some] - 1] = self.offsets[:-1][some]
         return following
 
     @cached_property
     def prev_corner(self) -> Int[np.ndarray, "corners"]:
         """The corner before in the face."""
         before = np.arange(-1, len(self.corners) - 1)
-        before[self.offsets[:-1]] = self.offsets[1:] - 1
+        some = self.sizes > 0
+        before[self.offsets[:-1][some]] = self.offsets[1:][some] - 1
         return before
 
     @cached_property

@@ -114,12 +114,12 @@ def test_obj_tags_and_what_is_left_out(tmp_path):
         ("v 0 0 x\n", "line 1: a coordinate should be a finite number, not 'x'"),
         ("v 0 0 nan\n", "line 1: a coordinate should be a finite number"),
         ("v 0 0 1_0\n", "line 1: a coordinate should be"),
-        ("v 0 0 0\n\nf 1 1\n", "line 3: a face needs at least three vertices, not 2"),
+        ("v 0 0 0\n\nf 1 1\n", "face 0 has 2 vertices, and needs three"),
         ("v 0 0 0\nf 0 1 1\n", "line 2: a face should name vertices by their numbers, from 1 on, not '0'"),
         ("v 0 0 0\nf 1 -2 1\n", "line 2: vertex -2 is counted back beyond the first of 1"),
         ("v 0 0 0\nf 1 /1 1\n", "line 2: a face should name"),
         ("v 0 0 0\nf 1.0 1 1\n", "line 2: a face should name"),
-        ("v 0 0 0\nf 1 2 3\n", "line 2: the face names vertex 3, but there are 1"),
+        ("v 0 0 0\nf 1 2 3\n", "line 2: the face names vertex 2, but there are 1"),
         ("t crease 2/1/0 0\n", "line 1: a tag 'crease' needs vertices and one sharpness"),
         ("t crease\n", "line 1: a tag should be"),
         ("t crease 2/1/0 0 1 -2\n", "line 1: a sharpness must not be negative"),
@@ -284,7 +284,7 @@ def test_a_ply_comment_does_not_end_the_header(tmp_path):
     assert read_ply(write(tmp_path, "a.ply", text)).mesh is not None
 
 
-@pytest.mark.parametrize("length", [np.nan, np.inf, -1.0, 2.5, 1e9])
+@pytest.mark.parametrize("length", [np.nan, np.inf, -1.0, 2.5, 1e10])
 def test_lengths_of_ply_lists_that_are_none(tmp_path, length):
     head = b"ply\nformat binary_little_endian 1.0\nelement face 1\nproperty list float int vertex_indices\nend_header\n"
     with pytest.raises(InputError, match="has the length"):
@@ -304,11 +304,11 @@ def test_other_ply_files_are_refused(tmp_path):
         ("4 0 1 3 2", "4 0 1 3 20", "face 0 .* has a vertex 20"),
         ("4 0 1 3 2", "4 0 1 3 0.5", "face 0 .* names vertex 0.5, which is no whole number"),
         ("4 0 1 3 2", "-4 0 1 3 2", "has the length -4"),
-        ("element vertex 8", "element vertex -8", "needs from 0 to .* entries, not -8"),
+        ("element vertex 8", "element vertex -8", "tells of -8 elements 'vertex', but has 157 bytes"),
         ("property double x", "property list uchar double x", "no number 'x' of its vertices"),
         ("property list uchar int vertex_indices", "property int vertex_indices", "no list 'vertex_indices'"),
         ("property double y", "property double x", "properties with different names"),
-        ("element face 6", "element other 3\nelement face 6", "element 'other' needs .* properties"),
+        ("element face 6", "element other 3\nelement face 6", "element 'other' needs properties"),
     ):
         assert old in text
         with pytest.raises(InputError, match=says):

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import io
+from array import array
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import takewhile
+from math import prod
 from pathlib import Path
 
 import numpy as np
 
 from slefejax.errors import InputError
 from slefejax.io.content import read_bytes
+from slefejax.io.limits import LARGEST_TEXT
 
 _MARGIN = 1.25  # for what a program computed, in single precision perhaps, before it wrote
 _COARSEST = 1e-4  # of the size of a model
+_LONGEST_EXPONENT = 9  # in digits: with more the number is 0 or none, or they are zeros
 
 
 class Numbers:
@@ -21,14 +27,15 @@ class Numbers:
     """
 
     def __init__(self, path: Path, comment: str | None = None) -> None:
-        self._path, self._comment = path, comment
-        self._items = self._split(_text(path))
+        self._path = path
+        self._items = self._split(_lines_of(path), comment)
+        self._kept: tuple[int, str] | None = None
         self.line = 1
         self._digits, self._unit = 0, 0.0
 
-    def _split(self, text: str) -> Iterator[tuple[int, str]]:
-        for number, line in enumerate(text.splitlines(), 1):
-            for item in (line if self._comment is None else line.split(self._comment, 1)[0]).split():
+    def _split(self, lines: Iterable[str], comment: str | None) -> Iterator[tuple[int, str]]:
+        for number, line in enumerate(lines, 1):
+            for item in line.split() if comment is None else words_before(line, comment):
                 yield number, item
 
     def fail(self, what: str) -> InputError:
@@ -44,17 +51,24 @@ class Numbers:
 
     def rest(self) -> str | None:
         """The next item, or None at the end of the file."""
-        for line, item in self._items:
-            self.line = line
-            return item
-        return None
+        found = self._kept or next(self._items, None)
+        self._kept = None
+        if found is None:
+            return None
+        self.line, item = found
+        return item
+
+    def keep(self, item: str) -> None:
+        """Give an item back, or what is left of it: it is the next one."""
+        self._kept = (self.line, item)
 
     def whole(self, wanted: str, lowest: int, highest: int) -> int:
         """The next item as a whole number in a range."""
         item = self.next(wanted)
-        if not (item.isascii() and item.isdigit() and len(item) < 10 and lowest <= int(item) <= highest):
+        value = parse_whole(item)
+        if value is None or not lowest <= value <= highest:
             raise self.fail(f"{wanted} should be a whole number from {lowest} to {highest}, not {item[:40]!r}")
-        return int(item)
+        return value
 
     def real(self, wanted: str) -> float:
         """The next item as a finite number."""
@@ -72,7 +86,7 @@ class Numbers:
         mantissa, _, exponent = item.lower().partition("e")
         whole, point, fraction = mantissa.lstrip("+-").partition(".")
         count = len((whole + fraction).lstrip("0"))
-        if point and count >= max(self._digits, 1):
+        if point and count >= max(self._digits, 1) and len(exponent) <= _LONGEST_EXPONENT:
             unit = 10.0 ** (int(exponent or 0) - len(fraction))
             self._unit = unit if count > self._digits else max(unit, self._unit)
             self._digits = count
@@ -94,7 +108,7 @@ class Numbers:
 
     def points(self, shape: tuple[int, ...], wanted: str) -> np.ndarray:
         """The next numbers as an array of that shape."""
-        return np.array([self.real(wanted) for _ in range(int(np.prod(shape)))]).reshape(shape)
+        return np.array(array("d", (self.real(wanted) for _ in range(prod(shape)))), np.float64).reshape(shape)
 
 
 def _size(patches: Sequence[np.ndarray]) -> float:
@@ -113,8 +127,27 @@ def parse_real(item: str) -> float | None:
         return None
 
 
-def _text(path: Path) -> str:
+def parse_whole(item: str) -> int | None:
+    """The whole number, of nine digits at most, that a text stands for, or None."""
+    digits = item[1:] if item[:1] == "-" else item
+    return int(item) if digits.isascii() and digits.isdigit() and len(digits) < 10 else None
+
+
+def words_before(line: str, comment: str) -> Iterable[str]:
+    """The words of a line up to a comment, which begins where a word begins: ``a#1`` and ``1.#IND`` are words."""
+    words = line.split()
+    return words if comment not in line else takewhile(lambda word: not word.startswith(comment), words)
+
+
+def lines_of(data: bytes) -> io.TextIOWrapper:
+    """The lines of a text with any line ends, one after another: they are never all in memory."""
+    return io.TextIOWrapper(io.BytesIO(data), "utf-8-sig", "replace", newline=None)
+
+
+def _lines_of(path: Path) -> io.TextIOWrapper:
+    data = read_bytes(path, LARGEST_TEXT)
     try:
-        return read_bytes(path).decode("utf-8-sig")
+        data.decode("utf-8")
     except UnicodeDecodeError:
         raise InputError(f"{path} is not a text file: a {path.suffix} file holds plain numbers") from None
+    return lines_of(data)

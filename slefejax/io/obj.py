@@ -1,15 +1,17 @@
 """Wavefront OBJ: control meshes of any polygons, with OpenSubdiv's tags for creases.
 
-Read are ``v``, ``f``, ``g``, ``o`` and ``t crease``, ``t corner``; comments, lines continued by a backslash, negative
-numbers (counted back from the last vertex) and any line ends. Texture coordinates, normals and materials do not matter
-here. Other statements are left out, and said.
+Read are ``v``, ``f``, ``g``, ``o`` and ``t crease``, ``t corner``; comments, which begin where a word begins with #,
+lines continued by a backslash, negative numbers (counted back from the last vertex) and any line ends. Texture
+coordinates, normals and materials do not matter here. Other statements are left out, and said.
 """
 
 from __future__ import annotations
 
+from array import array
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,32 +19,61 @@ import numpy as np
 
 from slefejax.errors import InputError
 from slefejax.io.content import Y_UP, Content, read_bytes
-from slefejax.io.numbers import parse_real
+from slefejax.io.limits import LARGEST_TEXT
+from slefejax.io.numbers import lines_of, parse_real, parse_whole, words_before
 from slefejax.mesh import Mesh
 
-_MANY = 10**9
 _IRRELEVANT = {"vt", "vn", "s", "usemtl", "mtllib", "usemap", "maplib", "shadow_obj", "trace_obj", "lod", "bevel"}
 _IRRELEVANT |= {"c_interp", "d_interp", "mg"}
 
 
+def _whole() -> array:
+    return array("q")
+
+
+def _real() -> array:
+    return array("d")
+
+
+@dataclass
+class _Names:
+    """The groups or the object that faces belong to from here on."""
+
+    names: frozenset[str]
+    wanted: bool
+    used: bool = False
+
+
 @dataclass
 class _Reader:
-    """What was read so far. A face is kept as vertex numbers from 0, with the line that it stands on."""
+    """What was read so far, in packed arrays. Vertices are numbered from 0; of a face the line that it stands on."""
 
     path: Path
     wanted: frozenset[str] | None
     line: int = 0
-    vertices: list[list[float]] = field(default_factory=list)
-    faces: list[list[int]] = field(default_factory=list)
-    lines: list[int] = field(default_factory=list)
-    numbers: list[int] = field(default_factory=list)
+    coordinates: array = field(default_factory=_real)
+    corners: array = field(default_factory=_whole)
+    sizes: array = field(default_factory=_whole)
+    lines: array = field(default_factory=_whole)
+    numbers: array = field(default_factory=_whole)
     count: int = 0
-    creases: list[tuple[int, int, float]] = field(default_factory=list)
-    points: list[tuple[int, float]] = field(default_factory=list)
-    groups: frozenset[str] = frozenset({"default"})
-    object: str = ""
+    creases: array = field(default_factory=_whole)
+    crease_sharpness: array = field(default_factory=_real)
+    points: array = field(default_factory=_whole)
+    point_sharpness: array = field(default_factory=_real)
     named: set[str] = field(default_factory=set)
     others: Counter[str] = field(default_factory=Counter)
+
+    def __post_init__(self) -> None:
+        self.groups, self.object = self.names(["default"]), self.names([""])
+
+    def names(self, names: list[str]) -> _Names:
+        found = frozenset(names)
+        return _Names(found, self.wanted is None or bool(self.wanted & found))
+
+    @property
+    def vertex_count(self) -> int:
+        return len(self.coordinates) // 3
 
     def fail(self, what: str) -> InputError:
         return InputError(f"{self.path}, line {self.line}: {what}")
@@ -61,9 +92,9 @@ class _Reader:
         elif keyword == "f":
             self.polygon(rest)
         elif keyword == "g":
-            self.groups = frozenset(rest) or frozenset({"default"})
+            self.groups = self.names(rest or ["default"])
         elif keyword == "o":
-            self.object = " ".join(rest)
+            self.object = self.names([" ".join(rest)])
         elif keyword == "t":
             self.tag(rest)
         elif keyword not in _IRRELEVANT:
@@ -72,54 +103,58 @@ class _Reader:
     def vertex(self, items: list[str]) -> None:
         if len(items) < 3:
             raise self.fail(f"a vertex needs three coordinates, not {len(items)}: is the file complete?")
-        self.vertices.append([self.real(item, "a coordinate") for item in items[:3]])
+        self.coordinates.extend([self.real(item, "a coordinate") for item in items[:3]])
 
     def polygon(self, items: list[str]) -> None:
-        if len(items) < 3:
-            raise self.fail(f"a face needs at least three vertices, not {len(items)}: is the file complete?")
         self.count += 1
-        names = self.groups | {self.object}
-        self.named |= names
-        if self.wanted is not None and not (self.wanted & names):
+        for owner in (self.groups, self.object):
+            if not owner.used:
+                owner.used = True
+                self.named |= owner.names
+        if not (self.groups.wanted or self.object.wanted):
             return
-        self.faces.append([self.index(item) for item in items])
+        self.corners.extend([self.index(item) for item in items])
+        self.sizes.append(len(items))
         self.lines.append(self.line)
         self.numbers.append(self.count - 1)
 
     def index(self, item: str) -> int:
-        text = item.split("/", 1)[0]
-        digits = text[1:] if text[:1] == "-" else text
-        if not (digits.isascii() and digits.isdigit() and len(digits) < 10 and int(digits) > 0):
+        number = parse_whole(item.split("/", 1)[0])
+        if not number:
             raise self.fail(f"a face should name vertices by their numbers, from 1 on, not {item[:40]!r}")
-        number = int(text)
-        if number < 0 and -number > len(self.vertices):
-            raise self.fail(f"vertex {number} is counted back beyond the first of {len(self.vertices)}")
-        return number - 1 if number > 0 else len(self.vertices) + number
+        if number < 0 and -number > self.vertex_count:
+            raise self.fail(f"vertex {number} is counted back beyond the first of {self.vertex_count}")
+        return number - 1 if number > 0 else self.vertex_count + number
 
     def tag(self, items: list[str]) -> None:
         """``t NAME ints/floats/strings …``: creases are chains of vertices, numbered from 0, with their sharpness."""
-        try:
-            name, counts, numbers = items[0], [int(n) for n in items[1].split("/")], items[2:]
-            ints, floats = ([int(n) for n in numbers[: counts[0]]], numbers[counts[0] : counts[0] + counts[1]])
-        except (IndexError, ValueError):
-            raise self.fail("a tag should be 't NAME ints/floats/strings' and so many values") from None
-        sharpness = [self.real(item, "a sharpness") for item in floats]
-        if name not in ("crease", "corner"):
-            if name != "interpolateboundary" or ints != [1]:  # 1 is how boundaries are treated here
-                self.others[f"t {name}"] += 1
-            return
-        if any(abs(number) >= _MANY for number in ints):
-            raise self.fail(f"a tag {name!r} names a vertex that no file has: {max(ints, key=abs)}")
-        many = len(ints) - 1 if name == "crease" else len(ints)
+        name, counts = items[0] if items else "", [parse_whole(n) for n in "".join(items[1:2]).split("/")]
+        if len(counts) < 2 or any(n is None or n < 0 for n in counts):
+            raise self.fail("a tag should be 't NAME ints/floats/strings' and so many values")
+        many, some = counts[0] or 0, counts[1] or 0
+        ints = [parse_whole(n) for n in items[2 : 2 + many]]
+        if None in ints:
+            raise self.fail(f"a tag {name!r} should begin with {many} whole numbers")
+        sharpness = [self.real(item, "a sharpness") for item in items[2 + many : 2 + many + some]]
+        if name in ("crease", "corner"):
+            self.sharp(name, ints, sharpness)  # type: ignore[arg-type]
+        elif name != "interpolateboundary" or ints != [1]:  # 1 is how boundaries are treated here
+            self.others[f"t {name}"] += 1
+
+    def sharp(self, name: str, vertices: list[int], sharpness: list[float]) -> None:
+        many = len(vertices) - 1 if name == "crease" else len(vertices)
         if many < 1 or len(sharpness) not in (1, many):
             raise self.fail(f"a tag {name!r} needs vertices and one sharpness, or one each")
         if min(sharpness) < 0:
             raise self.fail(f"a sharpness must not be negative: {min(sharpness):g}")
         each = sharpness * (many if len(sharpness) == 1 else 1)
         if name == "crease":
-            self.creases += [(a, b, s) for a, b, s in zip(ints[:-1], ints[1:], each, strict=True)]
+            for pair in pairwise(vertices):
+                self.creases.extend(pair)
+            self.crease_sharpness.extend(each)
         else:
-            self.points += list(zip(ints, each, strict=True))
+            self.points.extend(vertices)
+            self.point_sharpness.extend(each)
 
 
 def read_obj(path: Path, group: Any = None) -> Content:
@@ -129,7 +164,7 @@ def read_obj(path: Path, group: Any = None) -> Content:
 
     Raises InputError, with the file and the line, for what is no such file; for a group that is not there.
     """
-    data = read_bytes(path)
+    data = read_bytes(path, LARGEST_TEXT)
     if b"\0" in data:
         raise InputError(f"{path} is not a text file: an .obj file is plain text")
     names = (group,) if isinstance(group, str) else group
@@ -137,24 +172,26 @@ def read_obj(path: Path, group: Any = None) -> Content:
         raise InputError(f"group must be a name or a tuple of names, not {group!r}")
     wanted = None if names is None else frozenset(names)
     reader = _Reader(path, wanted)
-    for reader.line, words in _statements(data.decode("utf-8-sig", errors="replace")):
+    for reader.line, words in _statements(data):
         reader.take(words)
     if wanted is not None and (missing := sorted(wanted - reader.named)):
         there = ", ".join(sorted(reader.named - {""})[:12])
         raise InputError(f"{path} has no faces in a group {missing[0]!r}: there are {there or 'none'}")
-    if not reader.faces:
+    if not reader.sizes:
         raise InputError(f"{path} has no faces: a control mesh needs at least one line 'f …'")
     return Content(mesh=_mesh(reader), up=Y_UP, notes=_notes(reader))
 
 
-def _statements(text: str) -> Iterator[tuple[int, list[str]]]:
+def _statements(data: bytes) -> Iterator[tuple[int, list[str]]]:
     """(line, words) of every statement, comments left out, continued lines joined."""
     words: list[str] = []
     number = 0
-    for number, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), 1):
-        line = line.split("#", 1)[0].rstrip()
-        goes_on = line.endswith("\\")
-        words += line.removesuffix("\\").split()
+    for number, line in enumerate(lines_of(data), 1):
+        found = list(words_before(line, "#"))
+        goes_on = bool(found) and found[-1].endswith("\\")
+        if goes_on:
+            found[-1:] = found[-1][:-1].split()
+        words += found
         if words and not goes_on:
             yield number, words
             words = []
@@ -163,30 +200,27 @@ def _statements(text: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def _mesh(reader: _Reader) -> Mesh:
-    count = len(reader.vertices)
-    for line, face in zip(reader.lines, reader.faces, strict=True):
-        if max(face) >= count:
-            reader.line = line
-            raise reader.fail(f"the face names vertex {max(face) + 1}, but there are {count}: is the file complete?")
+    corners, sizes = (np.array(part, np.int64) for part in (reader.corners, reader.sizes))
+    beyond = np.flatnonzero(corners >= reader.vertex_count)
+    if beyond.size:
+        reader.line = reader.lines[int(np.searchsorted(np.cumsum(sizes), beyond[0], side="right"))]
+        what = f"the face names vertex {corners[beyond[0]] + 1}, but there are {reader.vertex_count}"
+        raise reader.fail(f"{what}: is the file complete?")
     try:
-        mesh = _packed(reader)
+        mesh = Mesh.packed(
+            np.array(reader.coordinates).reshape(-1, 3),
+            corners,
+            sizes,
+            np.array(reader.numbers),
+            creases=np.array(reader.creases, np.int64).reshape(-1, 2),
+            crease_sharpness=np.array(reader.crease_sharpness),
+            points=np.array(reader.points, np.int64),
+            point_sharpness=np.array(reader.point_sharpness),
+        )
     except InputError as error:
         raise InputError(f"{reader.path}: {error}") from None
     # creases of other groups are not this mesh's
     return mesh if reader.wanted is None else mesh.keep(np.ones(mesh.face_count, bool))
-
-
-def _packed(reader: _Reader) -> Mesh:
-    return Mesh.packed(
-        np.array(reader.vertices),
-        np.concatenate(reader.faces),
-        [len(face) for face in reader.faces],
-        reader.numbers,
-        creases=np.array([c[:2] for c in reader.creases], np.int64).reshape(-1, 2),
-        crease_sharpness=np.array([c[2] for c in reader.creases], np.float64),
-        points=np.array([p[0] for p in reader.points], np.int64),
-        point_sharpness=np.array([p[1] for p in reader.points], np.float64),
-    )
 
 
 def _notes(reader: _Reader) -> tuple[str, ...]:
