@@ -2,21 +2,24 @@
 
 Rest offsets are from the parent, with no rotation: at rest all joints are turned as the file's axes are. In a frame a
 joint's local transform is its offset plus its position channels, and the product of its rotation channels (degrees) as
-they are listed.
+they are listed. Keywords are read in any case, labels such as ``Frame Time:`` with any blanks.
 """
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from slefejax.io.limits import check_numbers
 from slefejax.io.numbers import Numbers
 from slefejax.rig import Motion
 
 _CHANNELS = {f"{axis}{kind}": (kind, k) for kind in ("position", "rotation") for k, axis in enumerate("XYZ")}
+_BY_LOWER = {name.lower(): channel for name, channel in _CHANNELS.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +37,7 @@ class Bvh:
     motion: Motion
 
 
-@dataclass
+@dataclass(slots=True)
 class _Joint:
     name: str
     parent: int
@@ -47,56 +50,64 @@ def read_bvh(path: Path) -> Bvh:
     numbers = Numbers(path)
     _expect(numbers, "HIERARCHY")
     joints: list[_Joint] = []
-    while (word := numbers.next("ROOT or MOTION")) == "ROOT":
-        _joint(numbers, joints, -1)
-    if word != "MOTION" or not joints:
+    while (word := numbers.next("ROOT or MOTION")).upper() == "ROOT":
+        _tree(numbers, joints)
+    if word.upper() != "MOTION" or not joints:
         raise numbers.fail(f"{word[:40]!r} stands where {'MOTION' if joints else 'ROOT'} should be")
     frames, interval = _frames(numbers)
+    check_numbers(path, f"{len(joints)} joints in {frames} frames", 7 * frames * len(joints))
     channels = sum(len(joint.channels) for joint in joints)
-    values = np.array(
-        [
-            [numbers.real(f"a channel of frame {frame} (counted from 0)") for _ in range(channels)]
-            for frame in range(frames)
-        ]
-    )
+    values = array("d")
+    for frame in range(frames if channels else 0):
+        values.extend([numbers.real(f"a channel of frame {frame} (counted from 0)") for _ in range(channels)])
     if (item := numbers.rest()) is not None:
         raise numbers.fail(f"{item[:40]!r} follows the last of {frames} frames with {channels} channels")
     parents = np.array([joint.parent for joint in joints])
     offsets = np.array([joint.offset for joint in joints])
-    return Bvh(tuple(j.name for j in joints), parents, offsets, _motion(joints, offsets, values, interval))
+    motion = _motion(joints, offsets, np.array(values).reshape(frames, channels), interval)
+    return Bvh(tuple(j.name for j in joints), parents, offsets, motion)
 
 
 def _expect(numbers: Numbers, word: str) -> None:
     found = numbers.next(word)
-    if found != word:
+    if found.upper() != word.upper():
         raise numbers.fail(f"{found[:40]!r} stands where {word} should be")
 
 
-def _joint(numbers: Numbers, joints: list[_Joint], parent: int) -> None:
-    """A joint and, one after the other, those below it."""
-    number = len(joints)
-    joint = _Joint(numbers.next("the name of a joint"), parent, np.zeros(3), [])
-    joints.append(joint)
+def _tree(numbers: Numbers, joints: list[_Joint]) -> None:
+    """A root and all joints below it."""
+    open_joints = [_begin(numbers, joints, -1)]
+    while open_joints:
+        joint = joints[open_joints[-1]]
+        word = numbers.next("OFFSET, CHANNELS, JOINT, End or }")
+        match word.upper():
+            case "}":
+                open_joints.pop()
+            case "OFFSET":
+                joint.offset = numbers.points((3,), f"the offset of joint {joint.name!r}")
+            case "CHANNELS":
+                count = numbers.whole(f"the number of channels of joint {joint.name!r}", 0, 6)
+                joint.channels = [_channel(numbers) for _ in range(count)]
+            case "JOINT":
+                open_joints.append(_begin(numbers, joints, open_joints[-1]))
+            case "END":
+                _end_site(numbers)
+            case _:
+                raise numbers.fail(f"{word[:40]!r} stands where OFFSET, CHANNELS, JOINT, End or }} should be")
+
+
+def _begin(numbers: Numbers, joints: list[_Joint], parent: int) -> int:
+    """The number of a joint that begins."""
+    joints.append(_Joint(numbers.next("the name of a joint"), parent, np.zeros(3), []))
     _expect(numbers, "{")
-    while (word := numbers.next("OFFSET, CHANNELS, JOINT, End or }")) != "}":
-        if word == "OFFSET":
-            joint.offset = numbers.points((3,), f"the offset of joint {joint.name!r}")
-        elif word == "CHANNELS":
-            count = numbers.whole(f"the number of channels of joint {joint.name!r}", 0, 6)
-            joint.channels = [_channel(numbers) for _ in range(count)]
-        elif word == "JOINT":
-            _joint(numbers, joints, number)
-        elif word == "End":
-            _end_site(numbers)
-        else:
-            raise numbers.fail(f"{word[:40]!r} stands where OFFSET, CHANNELS, JOINT, End or }} should be")
+    return len(joints) - 1
 
 
 def _channel(numbers: Numbers) -> tuple[str, int]:
     word = numbers.next("a channel")
-    if word not in _CHANNELS:
+    if word.lower() not in _BY_LOWER:
         raise numbers.fail(f"{word[:40]!r} is no channel: {', '.join(_CHANNELS)} are")
-    return _CHANNELS[word]
+    return _BY_LOWER[word.lower()]
 
 
 def _end_site(numbers: Numbers) -> None:
@@ -107,11 +118,22 @@ def _end_site(numbers: Numbers) -> None:
     _expect(numbers, "}")
 
 
+def _label(numbers: Numbers, label: str) -> None:
+    """A label with blanks or none between its words and before its colon, and a value that may follow it at once."""
+    wanted, found = label.replace(" ", "").upper(), ""
+    while len(found) < len(wanted):
+        item = numbers.next(label)
+        found += item.upper()
+        if found[: len(wanted)] != wanted[: len(found)]:
+            raise numbers.fail(f"{item[:40]!r} stands where {label} should be")
+    if len(found) > len(wanted):
+        numbers.keep(item[len(wanted) - len(found) :])
+
+
 def _frames(numbers: Numbers) -> tuple[int, float]:
-    _expect(numbers, "Frames:")
+    _label(numbers, "Frames:")
     frames = numbers.whole("the number of frames", 1, 10**7)
-    _expect(numbers, "Frame")
-    _expect(numbers, "Time:")
+    _label(numbers, "Frame Time:")
     interval = numbers.real("the time of a frame")
     if interval <= 0:
         raise numbers.fail(f"the time of a frame must be positive, not {interval:g}")

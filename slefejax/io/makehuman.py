@@ -8,6 +8,7 @@ rest (time 0) to that pose (time 1). Targets are shape keys, all of weight 0 in 
 from __future__ import annotations
 
 import json
+from array import array
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,8 @@ from slefejax.arguments import whole_numbers
 from slefejax.errors import InputError
 from slefejax.io.bvh import Bvh, read_bvh
 from slefejax.io.content import Content, read_bytes
-from slefejax.io.limits import LARGEST_TEXT
-from slefejax.io.numbers import Numbers
+from slefejax.io.limits import LARGEST_TEXT, check_numbers
+from slefejax.io.numbers import Numbers, parse_whole
 from slefejax.io.obj import read_obj
 from slefejax.rig import Motion, Rig, Skeleton
 from slefejax.skinning import Influences, Key, ShapeKeys
@@ -61,42 +62,66 @@ def _json(path: Path, *names: str) -> list[dict]:
 def _skeleton(path: Path, vertices: np.ndarray) -> tuple[Skeleton, np.ndarray]:
     """The skeleton and where its bones begin."""
     bones, joints = _json(path, "bones", "joints")
-    heads = []
+    number: dict[Any, int] = {name: k for k, name in enumerate(bones)}
+    places: dict[str, np.ndarray] = {}
+    heads, parents = np.zeros((len(bones), 3)), []
     for name, bone in bones.items():
-        near = whole_numbers(joints.get(bone.get("head"), []), f"{path}: the head of bone {name!r}")
-        if not near.size or not 0 <= near.min() <= near.max() < len(vertices):
+        head, parent = (bone.get("head"), bone.get("parent")) if isinstance(bone, dict) else (None, None)
+        if not (parent is None or isinstance(parent, str)) or (parent and parent not in number):
+            raise InputError(f"{path}: the parent {parent!r} of bone {name!r} does not exist")
+        parents.append(number[parent] if parent else -1)
+        if not isinstance(head, str) or head not in joints:
             raise InputError(f"{path}: the head of bone {name!r} is at no vertices of the base mesh")
-        heads.append(vertices[near].mean(axis=0))
-    names = list(bones)
-    unknown = [name for name in names if bones[name].get("parent") not in (None, *names)]
-    if unknown:
-        raise InputError(f"{path}: the parent {bones[unknown[0]]['parent']!r} of bone {unknown[0]!r} does not exist")
-    parents = [names.index(bone["parent"]) if bone.get("parent") else -1 for bone in bones.values()]
-    bind = np.tile(np.eye(4), (len(names), 1, 1))
+        if head not in places:
+            places[head] = _mean(path, name, joints[head], vertices)
+        heads[number[name]] = places[head]
+    bind = np.tile(np.eye(4), (len(bones), 1, 1))
     bind[:, :3, 3] = heads
     try:
-        return Skeleton.of(names, parents, bind), np.array(heads)
+        return Skeleton.of(list(bones), parents, bind), heads
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
 
+def _mean(path: Path, name: str, numbers: Any, vertices: np.ndarray) -> np.ndarray:
+    """The mean of some vertices."""
+    near = whole_numbers(numbers, f"{path}: the head of bone {name!r}")
+    if near.ndim != 1 or not near.size or not 0 <= near.min() <= near.max() < len(vertices):
+        raise InputError(f"{path}: the head of bone {name!r} is at no vertices of the base mesh")
+    return vertices[near].mean(axis=0)
+
+
 def _influences(path: Path, skeleton: Skeleton, count: int) -> Influences:
     (weights,) = _json(path, "weights")
-    unknown = sorted(set(weights) - set(skeleton.names))
-    if unknown:
-        raise InputError(f"{path} has weights for bone {unknown[0]!r}, which the skeleton does not have")
     number = {name: k for k, name in enumerate(skeleton.names)}
-    try:
-        entries = [(int(v), number[name], float(w)) for name, pairs in weights.items() for v, w in pairs]
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{path}: weights should be pairs of a vertex and a number, a list of them a bone") from None
-    vertex, bone, weight = (np.array(part) for part in zip(*entries, strict=True))
-    if not 0 <= vertex.min() <= vertex.max() < count:
-        raise InputError(f"{path} has a weight for vertex {vertex.max()}, but there are {count}")
+    vertex, bone, weight = array("q"), array("q"), array("d")
+    for name, pairs in weights.items():
+        if name not in number:
+            raise InputError(f"{path} has weights for bone {name!r}, which the skeleton does not have")
+        try:
+            for v, w in pairs:
+                vertex.append(v)
+                weight.append(float(w))
+                bone.append(number[name])
+        except (TypeError, ValueError, OverflowError):
+            what = f"{path}: weights should be pairs of a vertex and a number, a list of them a bone"
+            raise InputError(what) from None
+    return _padded(path, *(np.array(part) for part in (vertex, bone, weight)), skeleton, count)
+
+
+def _padded(
+    path: Path, vertex: np.ndarray, bone: np.ndarray, weight: np.ndarray, skeleton: Skeleton, count: int
+) -> Influences:
+    """Influences from triples in any order."""
+    if vertex.size and not 0 <= vertex.min() <= vertex.max() < count:
+        bad = vertex.min() if vertex.min() < 0 else vertex.max()
+        raise InputError(f"{path} has a weight for vertex {bad}, but there are {count}")
     order = np.argsort(vertex, kind="stable")
     vertex, bone, weight = vertex[order], bone[order], weight[order]
     slot = np.arange(len(vertex)) - np.searchsorted(vertex, vertex)
-    indices, shares = np.zeros((count, slot.max() + 1), np.int64), np.zeros((count, slot.max() + 1))
+    most = int(slot.max(initial=0)) + 1
+    check_numbers(path, f"{most} bones for each of {count} vertices", count * most)
+    indices, shares = np.zeros((count, most), np.int64), np.zeros((count, most))
     indices[vertex, slot], shares[vertex, slot] = bone, weight
     try:
         return Influences.of(indices, shares, len(skeleton.names))
@@ -105,15 +130,16 @@ def _influences(path: Path, skeleton: Skeleton, count: int) -> Influences:
 
 
 def _target(path: Path, count: int) -> Key:
-    """Rows of a vertex number and its offset; lines that begin with # are comments."""
+    """Rows of a vertex number and its offset; what begins with # is a comment."""
     numbers = Numbers(path, comment="#")
-    indices, offsets = [], []
+    indices, offsets = array("q"), array("d")
     while (item := numbers.rest()) is not None:
-        if not (item.isascii() and item.isdigit() and len(item) < 10 and int(item) < count):
+        index = parse_whole(item)
+        if index is None or not 0 <= index < count:
             raise numbers.fail(f"{item[:40]!r} is no vertex of the {count} of the base mesh")
-        indices.append(int(item))
-        offsets.append(numbers.points((3,), "an offset"))
-    return Key(path.stem, ((np.array(indices, np.int64), np.array(offsets).reshape(-1, 3)),))
+        indices.append(index)
+        offsets.extend([numbers.real("an offset") for _ in range(3)])
+    return Key(path.stem, ((np.array(indices), np.array(offsets).reshape(-1, 3)),))
 
 
 def _motion(path: Path, skeleton: Skeleton, heads: np.ndarray, keys: int) -> Motion:
@@ -124,7 +150,8 @@ def _motion(path: Path, skeleton: Skeleton, heads: np.ndarray, keys: int) -> Mot
         raise InputError(f"{path} does not move bone {missing[0]!r} of the skeleton: is the pose for another one?")
     from scipy.spatial.transform import Rotation
 
-    own = [pose.names.index(name) for name in skeleton.names]
+    number = {name: k for k, name in reversed(list(enumerate(pose.names)))}  # the first of equal ones
+    own = [number[name] for name in skeleton.names]
     assert pose.motion.rotations is not None
     turn = Rotation.from_quat(pose.motion.rotations[0, own][:, [1, 2, 3, 0]]).as_matrix()
     turned = Rotation.from_matrix(_UPRIGHT @ turn @ _UPRIGHT.T).as_quat()[:, [3, 0, 1, 2]]

@@ -12,6 +12,7 @@ import os
 import struct
 import zipfile
 import zlib
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ import numpy as np
 
 from slefejax.errors import InputError
 from slefejax.io.content import Content, read_bytes
-from slefejax.io.limits import LARGEST_TEXT
+from slefejax.io.limits import LARGEST_TEXT, check_count, check_size
 from slefejax.mesh import Mesh
 from slefejax.rig import Motion, Rig, Skeleton
 from slefejax.skinning import Influences, Key, ShapeKeys
@@ -35,6 +36,7 @@ _BROKEN = (
     *(ValueError, TypeError, OSError, EOFError, KeyError, AttributeError, MemoryError, NotImplementedError),
     *(RuntimeError, zipfile.BadZipFile, zlib.error, struct.error),
 )
+_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
 
 def read_pair(path: Path) -> Content:
@@ -91,15 +93,36 @@ class _Arrays:
 
 
 def _loaded(path: Path) -> dict[str, np.ndarray]:
-    data = io.BytesIO(read_bytes(path))
+    """All arrays of an .npz file. Nothing is inflated before all of it was found to be small enough."""
+    data = read_bytes(path)
     try:
-        with np.load(data, allow_pickle=False) as file:
-            found = {name: file[name] for name in file.files}
-        if not all(isinstance(values, np.ndarray) for values in found.values()):
-            raise ValueError
-        return found
+        with zipfile.ZipFile(io.BytesIO(data)) as file:
+            members = file.infolist()
+            check_size(path, sum(member.file_size for member in members))
+            return {member.filename.removesuffix(".npy"): _array(path, _inflated(file, member)) for member in members}
+    except InputError:
+        raise
     except _BROKEN:
         raise InputError(f"{path} is no .npz file of plain arrays, or not whole") from None
+
+
+def _inflated(file: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
+    """So many bytes of a member as the file says that it has, whatever more there is; the checksum then is wrong."""
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # others are inflated at once
+        raise ValueError
+    with file.open(member) as stream:
+        return stream.read(member.file_size)
+
+
+def _array(path: Path, data: bytes) -> np.ndarray:
+    """The array of an .npy file. Raises InputError, or what _BROKEN lists, if it is none."""
+    stream = io.BytesIO(data)
+    shape, columns_first, dtype = _HEADERS[np.lib.format.read_magic(stream)](stream)
+    if dtype.hasobject or dtype.itemsize == 0:
+        raise ValueError
+    count, rest = prod(shape), len(data) - stream.tell()
+    check_count(path, f"numbers in an array {tuple(shape)}", count, dtype.itemsize, rest)
+    return np.ndarray(shape, dtype, data, stream.tell(), order="F" if columns_first else "C")
 
 
 def _mesh(arrays: _Arrays) -> Mesh:
