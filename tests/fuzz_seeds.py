@@ -12,9 +12,10 @@ import numpy as np
 from slefejax import load, save
 from slefejax.mesh import Mesh
 from tests.test_gltf import figure
-from tests.test_io import BV, OBJ, USD, nurbs_usd, ply
+from tests.test_io import BV, OBJ, USD, nurbs_usd
 from tests.test_makehuman import folder
 from tests.test_pair import minimal, put
+from tests.test_ply import ply
 from tests.test_usd_skel import ARM
 
 TAGS = "t crease 2/1/0 0 1 2.5\nt corner 1/1/0 2 3\nvt 0 0\n"

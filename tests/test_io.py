@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from contextlib import suppress
 
 import numpy as np
@@ -12,9 +11,8 @@ from slefejax import InputError, load
 from slefejax.bezier import evaluate_patch, from_triangle
 from slefejax.io.bv import read_bv
 from slefejax.io.obj import read_obj
-from slefejax.io.ply import read_ply
 from slefejax.scene import read
-from tests.meshes import cube, mixed
+from tests.meshes import cube
 
 
 def write(tmp_path, name, content):
@@ -240,83 +238,6 @@ def test_bad_bv_files_are_named_with_the_line(tmp_path, text, says):
     assert str(path) in str(raised.value)
 
 
-def ply(mesh, form, extra=False):
-    lines = ["ply", f"format {form} 1.0", "comment made here", f"element vertex {mesh.vertex_count}"]
-    lines += ["property double x", "property double y", "property float z"] + ["property uchar red"] * extra
-    lines += [f"element face {mesh.face_count}"] + ["property list uchar float weights"] * extra
-    lines += ["property list uchar int vertex_indices"] + ["element edge 1", "property int vertex1"] * extra
-    head = "\n".join([*lines, "end_header", ""]).encode()
-    if form == "ascii":
-        rows = [f"{x!r} {y!r} {np.float32(z)!r}{' 7' * extra}" for x, y, z in mesh.vertices.tolist()]
-        rows = [row.replace("np.float32(", "").replace(")", "") for row in rows]
-        rows += [("1 0.5 " * extra) + f"{len(face)} " + " ".join(map(str, face)) for face in faces(mesh)]
-        return head + "\n".join([*rows, *["3"] * extra, ""]).encode()
-    order = "<" if "little" in form else ">"
-    body = b"".join(struct.pack(order + "ddf" + "B" * extra, *p, *[7] * extra) for p in mesh.vertices.tolist())
-    for face in faces(mesh):
-        body += struct.pack(order + "Bf", 1, 0.5) if extra else b""
-        body += struct.pack(order + f"B{len(face)}i", len(face), *face)
-    return head + body + (struct.pack(order + "i", 3) if extra else b"")
-
-
-@pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
-@pytest.mark.parametrize("extra", [False, True])
-def test_ply(tmp_path, rng, form, extra):
-    mesh = mixed(rng)
-    found = polygons(read_ply(write(tmp_path, "a.ply", ply(mesh, form, extra))))
-    assert faces(found) == faces(mesh)
-    assert np.array_equal(found.vertices[:, :2], mesh.vertices[:, :2])
-    np.testing.assert_allclose(found.vertices[:, 2], mesh.vertices[:, 2], rtol=1e-7, atol=1e-12)  # written as float32
-
-
-@pytest.mark.parametrize("form", ["ascii", "binary_little_endian"])
-def test_every_cut_of_a_ply_file_is_refused(tmp_path, form):
-    whole = ply(cube(), form).rstrip(b"\n") if form == "ascii" else ply(cube(), form)
-    for end in range(0, len(whole), 3 if form == "ascii" else 1):
-        if form == "ascii" and end > len(whole) - 3:
-            continue
-        with pytest.raises(InputError):
-            load(write(tmp_path, "a.ply", whole[:end]))
-
-
-def test_a_ply_comment_does_not_end_the_header(tmp_path):
-    text = ply(cube(), "ascii").replace(b"comment made here", b"comment end_header follows")
-    assert read_ply(write(tmp_path, "a.ply", text)).mesh is not None
-
-
-@pytest.mark.parametrize("length", [np.nan, np.inf, -1.0, 2.5, 1e10])
-def test_lengths_of_ply_lists_that_are_none(tmp_path, length):
-    head = b"ply\nformat binary_little_endian 1.0\nelement face 1\nproperty list float int vertex_indices\nend_header\n"
-    with pytest.raises(InputError, match="has the length"):
-        read_ply(write(tmp_path, "a.ply", head + struct.pack("<f3i", length, 0, 1, 2)))
-
-
-def test_other_ply_files_are_refused(tmp_path):
-    text = ply(cube(), "ascii").decode()
-    for old, new, says in (
-        ("format ascii 1.0\n", "", "does not say its format"),
-        ("ascii", "text", "line 2: .* no line of a PLY header"),
-        ("double x", "double a", "no number 'x' of its vertices"),
-        ("vertex_indices", "indices", "no list 'vertex_indices'"),
-        ("element face 6", "element faces 6", "no element 'face'"),
-        ("property double y", "property complex y", "line 6: .* no line of a PLY header"),
-        ("0.0 0.0 1.0", "0.0 0.0 top", "'top' among the elements 'vertex' is not a number"),
-        ("4 0 1 3 2", "4 0 1 3 20", "face 0 .* has a vertex 20"),
-        ("4 0 1 3 2", "4 0 1 3 0.5", "face 0 .* names vertex 0.5, which is no whole number"),
-        ("4 0 1 3 2", "-4 0 1 3 2", "has the length -4"),
-        ("element vertex 8", "element vertex -8", "tells of -8 elements 'vertex', but has 157 bytes"),
-        ("property double x", "property list uchar double x", "no number 'x' of its vertices"),
-        ("property list uchar int vertex_indices", "property int vertex_indices", "no list 'vertex_indices'"),
-        ("property double y", "property double x", "properties with different names"),
-        ("element face 6", "element other 3\nelement face 6", "element 'other' needs properties"),
-    ):
-        assert old in text
-        with pytest.raises(InputError, match=says):
-            read_ply(write(tmp_path, "a.ply", text.replace(old, new, 1)))
-    with pytest.raises(InputError, match="no PLY header"):
-        read_ply(write(tmp_path, "a.ply", "v 0 0 0"))
-
-
 USD = """#usda 1.0
 (
     upAxis = "Y"
@@ -460,50 +381,6 @@ def test_usd_nurbs(tmp_path):
             load(write(tmp_path, "b.usda", nurbs_usd(extra)))
     with pytest.raises(InputError, match=r"/patch: the knots .* do not decrease"):
         load(write(tmp_path, "b.usda", nurbs_usd().replace("[0, 0, 1, 2, 3, 3]", "[0, 0, 2, 1, 3, 3]")))
-
-
-def test_3dm(tmp_path):
-    rhino = pytest.importorskip("rhino3dm", reason="rhino3dm is not installed")
-    model = rhino.File3dm()
-    model.Objects.AddSurface(rhino.NurbsSurface.CreateFromSphere(rhino.Sphere(rhino.Point3d(1, 2, 3), 2.0)))
-    shape = rhino.Mesh()
-    for place in cube().vertices.tolist():
-        shape.Vertices.Add(*place)
-    for face in faces(cube()):
-        shape.Faces.AddFace(*face)
-    model.Objects.AddMesh(shape)
-    model.Objects.AddPoint(rhino.Point3d(0, 0, 0))
-    model.Objects.AddMesh(rhino.Mesh())
-    path = tmp_path / "a.3dm"
-    model.Write(str(path), 8)
-    content = read(path)
-    assert faces(polygons(content)) == faces(cube())
-    assert content.notes == ("objects of other kinds were left out: 1 Point, 1 empty Mesh",)
-    scene = load(path)
-    sphere = scene.patches()[6:]
-    assert sphere.shape == (8, 4, 4, 4)
-    for patch in sphere:
-        u, v = np.random.default_rng(1).random((2, 20))
-        point = evaluate_patch(patch[..., None], u, v)
-        np.testing.assert_allclose(np.linalg.norm((point[:3] / point[3]).T - [1, 2, 3], axis=1), 2.0, atol=1e-14)
-    # the meridians are shared, around the sphere as well; the poles are points
-    uses = np.bincount(scene.edge_numbers[6:].ravel())
-    assert np.count_nonzero(uses == 2) == 12
-
-
-def test_trimmed_and_broken_3dm_files(tmp_path):
-    rhino = pytest.importorskip("rhino3dm", reason="rhino3dm is not installed")
-    model = rhino.File3dm()
-    model.Objects.AddBrep(rhino.Brep.CreateFromCylinder(rhino.Cylinder(rhino.Circle(2.0), 3.0), True, True))
-    path = tmp_path / "a.3dm"
-    model.Write(str(path), 8)
-    with pytest.raises(InputError, match=r"object 0 .*, face 1 is trimmed"):
-        load(path)
-    with pytest.raises(InputError, match=r"no 3DM file that can be read"):
-        load(write(tmp_path, "b.3dm", path.read_bytes()[:200]))
-    rhino.File3dm().Write(str(tmp_path / "c.3dm"), 8)
-    with pytest.raises(InputError, match="holds no surface and no mesh"):
-        load(tmp_path / "c.3dm")
 
 
 @pytest.mark.parametrize("name", ["a.usda", "a.3dm"])

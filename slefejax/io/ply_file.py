@@ -191,9 +191,9 @@ def _check(path: Path, elements: list[Element], available: int, binary: bool) ->
         names = [p.name for p in element.properties]
         if not names or len(set(names)) < len(names):
             raise InputError(f"{path}: the header's element '{element.name}' needs properties with different names")
-        # as text a number is a digit and what parts it from the next, which the last has not
-        each = sum(np.dtype(p.count or p.kind).itemsize for p in element.properties) if binary else 2 * len(names)
-        check_count(path, f"elements '{element.name}'", element.count, each, available + (not binary))
+        # as text a number is a digit and, but for the last, what parts it from the next
+        each = sum(np.dtype(p.count or p.kind).itemsize for p in element.properties) if binary else 2 * len(names) - 1
+        check_count(path, f"elements '{element.name}'", element.count, each, available)
     twice = [name for name in {e.name for e in elements} if sum(e.name == name for e in elements) > 1]
     if twice:
         raise InputError(f"{path}: the header has two elements '{twice[0]}'")
