@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,7 @@ from slefejax.io.bv import read_bv
 from slefejax.io.content import Z_UP, Content, Spline
 from slefejax.io.copies import with_copies
 from slefejax.io.gltf import read_gltf
+from slefejax.io.limits import check_corners, check_numbers, check_spline
 from slefejax.io.makehuman import read_makehuman
 from slefejax.io.obj import read_obj
 from slefejax.io.pair import read_pair, write_pair
@@ -304,6 +306,8 @@ def _scene(
         count = len(content.patches)
         parts.append(_Part(list(content.patches), np.arange(count), np.full(count, KINDS.index("bezier"))))
     patches, found = common_weights([patch for part in parts for patch in part.patches])
+    largest = np.max(list({patch.shape for patch in patches}), axis=0).tolist()
+    check_numbers(path, "patches of one degree", len(patches) * prod(largest))
     points = np.concatenate([patch.reshape(-1, patch.shape[2]) for patch in patches])
     with np.errstate(over="ignore"):  # of small weights
         largest = max(np.abs(points).max(), np.abs(places(points)).max())
@@ -326,6 +330,7 @@ def _converted(
     path: Path, mesh: Mesh, scheme: str, alpha: float, steps: int | None, drop_defects: bool
 ) -> tuple[Conversion, tuple[str, ...]]:
     notes: tuple[str, ...] = ()
+    check_corners(path, len(mesh.corners))
     try:
         if drop_defects:
             mesh, notes = without_defects(mesh)
@@ -345,6 +350,7 @@ def _spline_part(spline: Spline, number: int) -> _Part:
         raise InputError(f"{spline.name} has control points or weights that are not finite numbers")
     if spline.control.shape[2] == 4 and not np.all(spline.control[..., 3] > 0):
         raise InputError(f"{spline.name} has a weight that is not positive")
+    check_spline(spline.name, spline.control.shape[:2], spline.degrees)
     try:
         axes = [
             bezier_axis(spline.knots[k], spline.degrees[k], spline.control.shape[k], spline.bounds[k]) for k in (0, 1)
