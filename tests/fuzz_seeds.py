@@ -15,7 +15,8 @@ from tests.test_gltf import figure
 from tests.test_io import BV, OBJ, USD, nurbs_usd
 from tests.test_makehuman import folder
 from tests.test_pair import minimal, put
-from tests.test_ply import ply
+from tests.test_ply import STRIPS, ply
+from tests.test_rhino import block, quad
 from tests.test_usd_skel import ARM
 
 TAGS = "t crease 2/1/0 0 1 2.5\nt corner 1/1/0 2 3\nvt 0 0\n"
@@ -29,6 +30,7 @@ def write_seeds(place: Path) -> dict[str, str]:
         "bpt": "a.bpt",
         "ply": "a.ply",
         "ply-binary": "a.ply",
+        "ply-strips": "a.ply",
         "gltf": "a.gltf",
         "glb": "a.glb",
         "pair": "quad.json",
@@ -38,6 +40,7 @@ def write_seeds(place: Path) -> dict[str, str]:
         "usda-skel": "a.usda",
         "usdc": "a.usdc",
         "3dm": "a.3dm",
+        "3dm-blocks": "a.3dm",
     }
     for kind in found:
         (place / kind).mkdir(parents=True)
@@ -50,6 +53,7 @@ def write_seeds(place: Path) -> dict[str, str]:
     )
     (place / "ply" / "a.ply").write_bytes(ply(cube, "ascii", True))
     (place / "ply-binary" / "a.ply").write_bytes(ply(cube, "binary_little_endian", True))
+    (place / "ply-strips" / "a.ply").write_text(STRIPS)
     _, content = figure(np.random.default_rng(1))
     text = json.dumps(content).encode()
     (place / "gltf" / "a.gltf").write_bytes(text)
@@ -63,6 +67,7 @@ def write_seeds(place: Path) -> dict[str, str]:
     (place / "usda-skel" / "a.usda").write_text(ARM)
     _binary_usd(place / "usda" / "a.usda", place / "usdc" / "a.usdc")
     _rhino(place / "3dm" / "a.3dm")
+    _blocks(place / "3dm-blocks" / "a.3dm")
     return found
 
 
@@ -78,9 +83,18 @@ def _rhino(path: Path) -> None:
 
     model = rhino3dm.File3dm()
     model.Objects.AddSphere(rhino3dm.Sphere(rhino3dm.Point3d(0, 0, 0), 1.0))
-    mesh = rhino3dm.Mesh()
-    for x, y in ((0, 0), (1, 0), (1, 1), (0, 1)):
-        mesh.Vertices.Add(float(x), float(y), 0.0)
-    mesh.Faces.AddFace(0, 1, 2, 3)
-    model.Objects.AddMesh(mesh)
+    model.Objects.AddMesh(quad(rhino3dm))
+    model.Write(str(path), 7)
+
+
+def _blocks(path: Path) -> None:
+    """A block in a block, mirrored, and something hidden."""
+    import rhino3dm
+
+    model, mirror, hidden = rhino3dm.File3dm(), rhino3dm.Transform(1.0), rhino3dm.ObjectAttributes()
+    mirror.M00, hidden.Visible = -1.0, False
+    inner = block(rhino3dm, model, "inner", quad(rhino3dm))
+    outer = block(rhino3dm, model, "outer", quad(rhino3dm), rhino3dm.InstanceReference(inner, mirror))
+    model.Objects.AddInstanceObject(rhino3dm.InstanceReference(outer, rhino3dm.Transform.Translation(3, 0, 0)))
+    model.Objects.AddMesh(quad(rhino3dm), hidden)
     model.Write(str(path), 7)

@@ -7,7 +7,7 @@ from contextlib import suppress
 import numpy as np
 import pytest
 
-from slefejax import InputError, load
+from slefejax import InputError, load, save
 from slefejax.bezier import evaluate_patch, from_triangle
 from slefejax.io.bv import read_bv
 from slefejax.io.obj import read_obj
@@ -75,6 +75,40 @@ def test_obj_in_other_clothes(tmp_path, change):
     assert mesh.vertices[[1, 4]].tolist() == [[1, 0, 0], [2, 0.5, 0]]
 
 
+def test_a_comment_begins_where_a_word_begins(tmp_path):
+    text = OBJ.replace("g first", "g part#1  # the first").replace("o thing", "o a#b")
+    path = write(tmp_path, "a.obj", text.replace("v 2 0.5 0", "v 2 0.5 0 #0"))
+    assert faces(polygons(read_obj(path, "part#1"))) == [[0, 1, 2, 3]]
+    assert len(polygons(read_obj(path, "a#b")).sizes) == 2
+    for number in ("-1.#IND00", "1.#QNAN", "1.#INF", "-1.#J", "nan(ind)", "-nan", "0#"):
+        path = write(tmp_path, "b.obj", OBJ.replace("0.5 0", f"0.5 {number}"))
+        with pytest.raises(InputError, match=r"b\.obj, line 12: a coordinate should be a finite number") as raised:
+            load(path)
+        assert repr(number) in str(raised.value)
+
+
+@pytest.mark.parametrize("small", ["f 1 2", "f 3", "f"])
+def test_obj_faces_of_fewer_than_three_vertices(tmp_path, small):
+    count = len(small.split()) - 1
+    path = write(tmp_path, "a.obj", OBJ.replace("g second", f"{small}\ng second") + "t crease 2/1/0 0 1 2\n")
+    with pytest.raises(InputError, match=rf"a\.obj: face 1 has {count} vertices, and needs three .*drop_defects"):
+        load(path)
+    for options in ({}, {"scheme": "catmull-clark+acc"}, {"copies": 2}, {"group": ("first", "second")}):
+        scene = load(path, drop_defects=True, **options)
+        assert scene.conversion is not None
+        mesh = scene.conversion.mesh
+        copies = options.get("copies", 1)
+        assert faces(mesh)[:2] == [[0, 1, 2, 3], [1, 4, 2]]
+        assert mesh.numbers.tolist() == [0, 2, 3, 5][: 2 * copies]
+        assert mesh.creases.tolist() == [[0, 1], [5, 6]][:copies]
+        assert f"face 1 has {count} vertices" in scene.notes[0]
+    save(scene, tmp_path / "pair.json")
+    assert load(tmp_path / "pair.json").conversion is not None
+    only = write(tmp_path, "b.obj", "v 0 0 0\nv 1 0 0\nv 1 1 0\n" + small)
+    with pytest.raises(InputError, match=r"b\.obj: face 0 has .*without such faces nothing is left"):
+        load(only, drop_defects=True)
+
+
 def test_obj_groups(tmp_path):
     path = write(tmp_path, "a.obj", OBJ)
     assert faces(polygons(read_obj(path, "first"))) == [[0, 1, 2, 3]]
@@ -121,6 +155,9 @@ def test_obj_tags_and_what_is_left_out(tmp_path):
         ("t crease 2/1/0 0\n", "line 1: a tag 'crease' needs vertices and one sharpness"),
         ("t crease\n", "line 1: a tag should be"),
         ("t crease 2/1/0 0 1 -2\n", "line 1: a sharpness must not be negative"),
+        ("t crease 2/1/0 0 1_0 1\n", "line 1: a tag 'crease' should begin with 2 whole numbers"),
+        ("t crease -2/1/0 0 1 1\n", "line 1: a tag should be"),
+        ("v 0 0 0\n\r\rf 1 x 1\n", "line 4: a face should name"),
         (OBJ + "t crease 2/1/0 0 9 1\n", "crease 0 .* names vertex 9, but there are 5"),
         (OBJ + "t crease 2/1/0 0 4 1\n", "crease 0 joins vertices 0 and 4"),
         (b"v 0 0 0\0", "not a text file"),
@@ -227,7 +264,8 @@ def test_triangular_patches_are_themselves(rng):
         ("5\n1 0\n", "line 2: the degree v of a patch should be a whole number from 1 to 64, not '0'"),
         ("8\n1 1\n0 0 0 1  0 0 0 0\n0 0 0 1  0 0 0 1\n", "a weight of the patch that begins after line 2 is not pos"),
         ("1\n3 1\n0 0 0 1 0 0 0 1 0\n3 0 1 3\n", "line 4: the number of a vertex .* from 0 to 2, not '3'"),
-        ("1\n3 1\n0 0 0 1 0 0 0 1 0\n2 0 1\n", "line 4: the number of vertices of face 0"),
+        ("1\n3 1\n0 0 0 1 0 0 0 1 0\n2 0 1\n", "a.bv: face 0 has 2 vertices, and needs three"),
+        ("1\n3 1\n0 0 0 1 0 0 0 1 0\n-2 0 1\n", "line 4: the number of vertices of face 0"),
         ("1\n3 1\n0 0 0 1 0 0 0 1 inf\n3 0 1 2\n", "line 3: a coordinate of a vertex is not a finite number"),
     ],
 )

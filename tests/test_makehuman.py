@@ -58,6 +58,38 @@ def test_bvh(tmp_path):
 
 
 @pytest.mark.parametrize(
+    "change",
+    [
+        str.lower,
+        str.upper,
+        str.title,
+        lambda text: text.replace("\n", "\r\n"),
+        lambda text: text.replace("\n", "\r"),
+        lambda text: text.replace(" ", "\t"),
+        lambda text: text.replace("\n", " "),
+        lambda text: "\ufeff" + text.replace("Frame Time: ", "Frame Time:").replace("Frames: ", "Frames:"),
+        lambda text: text.replace("Frame Time: ", "Frame  Time :\n").replace("Frames: ", "frames :"),
+        lambda text: text.replace("Frame Time: ", "FrameTime:").replace("CHANNELS 1 Xrot", "channels 1 xROT"),
+        lambda text: text.replace("End Site", "END SITE").replace("MOTION", "Motion").replace("ROOT", "Root"),
+    ],
+)
+def test_bvh_in_other_clothes(tmp_path, change):
+    plain, odd = (read_bvh(write(tmp_path, "a.bvh", text)) for text in (BVH, change(BVH)))
+    assert [name.lower() for name in odd.names] == list(plain.names)
+    assert odd.parents.tolist() == plain.parents.tolist()
+    assert np.array_equal(odd.motion.times, plain.motion.times)
+    for part in ("translations", "rotations"):
+        assert np.array_equal(getattr(odd.motion, part), getattr(plain.motion, part))
+
+
+def test_a_deep_bvh(tmp_path):
+    depth = 5000
+    tree = "ROOT a { CHANNELS 1 Xposition" + " JOINT a { OFFSET 0 1 0" * depth + " }" * (depth + 1)
+    found = read_bvh(write(tmp_path, "a.bvh", f"HIERARCHY {tree} MOTION Frames: 1 Frame Time: 1 0.5"))
+    assert found.parents.tolist() == list(range(-1, depth))
+
+
+@pytest.mark.parametrize(
     ("old", "new", "says"),
     [
         ("HIERARCHY", "", "line 2: 'ROOT' stands where HIERARCHY should be"),
@@ -66,6 +98,9 @@ def test_bvh(tmp_path):
         ("Xposition", "Wposition", "line 5: 'Wposition' is no channel"),
         ("CHANNELS 1", "CHANNELS 7", "line 18: the number of channels of joint 'tail'"),
         ("JOINT tail", "LIMB tail", "line 15: 'LIMB' stands where"),
+        ("Frames: 2", "Frame: 2", "line 22: 'Frame:' stands where Frames: should be"),
+        ("Frame Time: 0.25", "Frame Rate: 0.25", "line 23: 'Rate:' stands where Frame Time: should be"),
+        ("Frame Time: 0.25", "Frame Time:x 0.25", "line 23: the time of a frame should be a number, not 'x'"),
         ("Frames: 2", "Frames: 3", "line 25: the file ends where a channel of frame 2"),
         ("Frames: 2", "Frames: 1", "line 25: '1' follows the last of 1 frames with 10 channels"),
         ("Frame Time: 0.25", "Frame Time: 0", "line 23: the time of a frame must be positive"),
@@ -121,6 +156,14 @@ def test_a_folder(tmp_path):
         ({"weights": {"arm": [[0, 1.0]]}}, "weights for bone 'arm', which the skeleton does not have"),
         ({"weights": {"hip": [[8, 1.0]]}}, "a weight for vertex 8, but there are 8"),
         ({"weights": {"hip": [[0, 1.0]]}}, "weights of vertex 1 are all zero"),
+        ({"bones": {"hip": 3}}, "the head of bone 'hip' is at no vertices"),
+        ({"bones": {"hip": {"head": ["low"], "parent": None}}}, "the head of bone 'hip' is at no vertices"),
+        ({"bones": {"hip": {"head": "low", "parent": ["hip"]}}}, "the parent .'hip'. of bone 'hip' does not exist"),
+        ({"weights": {"hip": [[0.5, 1.0]]}}, "weights should be pairs of a vertex and a number"),
+        ({"weights": {"hip": [[-1, 1.0]]}}, "a weight for vertex -1, but there are 8"),
+        ({"weights": {"hip": []}}, "weights of vertex 0 are all zero"),
+        ({"target": "0 0 0 1.#QNAN\n"}, "smile.target, line 1: an offset should be a number, not '1.#QNAN'"),
+        ({"target": "# one\n  # two\n0 0 0 -1.#IND # three\n"}, "smile.target, line 3: .* not '-1.#IND'"),
         ({"target": "8 0 0 0\n"}, "smile.target, line 1: '8' is no vertex of the 8"),
         ({"target": "1 0 0\n"}, "smile.target, line 1: the file ends where an offset"),
     ],

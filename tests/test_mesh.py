@@ -104,6 +104,26 @@ def test_defects_are_told_by_number_and_dropped_on_request(faces, says, left):
     assert "dropped" in notes[0]
 
 
+def test_faces_of_fewer_than_three_vertices_are_a_defect():
+    """Wherever they stand, none of them disturbs what the other faces are."""
+    whole = Mesh.of(SQUARE, [(0, 1, 2, 3), (1, 4, 5, 2)])
+    mesh = Mesh.packed(SQUARE, [7, 0, 1, 2, 3, 6, 7, 1, 4, 5, 2], [0, 1, 4, 0, 2, 4, 0])
+    says = "face 0 has 0 vertices, and needs three, and 4 more like it"
+    with pytest.raises(InputError, match=says):
+        check_manifold(mesh)
+    own = np.isin(mesh.face, [2, 5])
+    for name in ("next_corner", "prev_corner"):
+        assert mesh.corners[getattr(mesh, name)[own]].tolist() == whole.corners[getattr(whole, name)].tolist()
+    clean, notes = without_defects(mesh)
+    assert clean.corners.tolist() == whole.corners.tolist()
+    assert clean.numbers.tolist() == [2, 5]
+    assert notes == (f"{says}: 5 faces were dropped (0, 1, 3, 4, …)",)
+    with pytest.raises(InputError, match="nothing is left"):
+        without_defects(Mesh.packed(SQUARE, [0, 1], [2, 0]))
+    with pytest.raises(InputError, match="negative number of vertices"):
+        Mesh.packed(SQUARE, [0, 1, 2], [4, -1])
+
+
 def test_dropping_goes_on_until_nothing_is_left_to_drop():
     # the third face makes an edge of three; without it two fans touch at vertex 2
     mesh = Mesh.of(SQUARE, [(0, 1, 2, 3), (2, 5, 4), (2, 1, 6), (1, 2, 7)])

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
+import struct
+import tracemalloc
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -163,6 +167,58 @@ def test_broken_files(tmp_path, teapot):
         save(load("walker"), tmp_path / "t.npz")
     with pytest.raises(InputError, match="cannot be written: No such file or directory"):
         save(load("walker"), tmp_path / "none" / "t.json")
+
+
+def npz(path: Path, members: dict[str, bytes], how: int = zipfile.ZIP_DEFLATED) -> None:
+    with zipfile.ZipFile(path, "w", how) as file:
+        for name, data in members.items():
+            file.writestr(name, data)
+
+
+def test_arrays_that_would_fill_the_memory(tmp_path):
+    """Nothing is inflated before all that a file tells is found to be small enough, and no more than it tells."""
+    path = put(tmp_path, *minimal())
+    zeros, many = bytes(30_000_000), tmp_path / "quad.npz"
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"shape": (10**9, 3), "fortran_order": False, "descr": "<f8"})
+    npz(many, {"vertices.npy": header.getvalue() + bytes(100)})
+    with pytest.raises(InputError, match=r"quad\.npz tells of 3,000,000,000 numbers in an array .* has 100 bytes"):
+        load(path)
+    npz(many, {"vertices.npy": zeros})
+    honest = many.read_bytes()
+    told = struct.pack("<I", len(zeros))
+    assert honest.count(told) == 2
+    for size, says in ((2_000_000_000, r"quad\.npz has 2,000 MB, more than"), (1000, r"no \.npz file of plain arrays")):
+        many.write_bytes(honest.replace(told, struct.pack("<I", size)))
+        tracemalloc.start()
+        try:
+            with pytest.raises(InputError, match=says):
+                load(path)
+            assert tracemalloc.get_traced_memory()[1] < 1_000_000
+        finally:
+            tracemalloc.stop()
+    npz(many, {"vertices.npy": zeros}, zipfile.ZIP_BZIP2)
+    with pytest.raises(InputError, match=r"no \.npz file of plain arrays"):
+        load(path)
+
+
+@pytest.mark.parametrize("order", ["<f8", ">f4", "<i2", "F"])
+def test_arrays_of_other_layouts(tmp_path, order):
+    names, arrays = minimal()
+    made = np.asarray(arrays["vertices"])
+    arrays["vertices"] = np.asfortranarray(made) if order == "F" else made.astype(order)
+    scene = load(put(tmp_path, names, arrays))
+    assert scene.conversion is not None
+    assert np.array_equal(scene.conversion.mesh.vertices, made)
+
+
+def test_small_faces_of_a_pair(tmp_path):
+    names, arrays = minimal()
+    arrays.update(sizes=[4, 2, 0], corners=[0, 1, 2, 3, 0, 1])
+    path = put(tmp_path, names, arrays)
+    with pytest.raises(InputError, match=r"quad\.json: face 1 has 2 vertices, and needs three, and 1 more like it"):
+        load(path)
+    assert len(load(path, drop_defects=True).patches()) == 1
 
 
 def test_copies_stand_side_by_side_and_move_alike(walker):

@@ -12,6 +12,7 @@ Each begins with its kind, a number, before which there may be ``Group NUMBER NA
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable
 from pathlib import Path
 
@@ -65,11 +66,11 @@ def _polyhedron(numbers: Numbers) -> Mesh:
     vertices = numbers.whole("the number of vertices", 1, 10**8)
     faces = numbers.whole("the number of faces", 1, 10**8)
     points = numbers.points((vertices, 3), "a coordinate of a vertex")
-    lists = []
+    corners, sizes = array("q"), array("q")
     for face in range(faces):
-        count = numbers.whole(f"the number of vertices of face {face} (counted from 0)", 3, 10**6)
-        lists.append([numbers.whole("the number of a vertex", 0, vertices - 1) for _ in range(count)])
-    return Mesh.of(points, lists)
+        sizes.append(numbers.whole(f"the number of vertices of face {face} (counted from 0)", 0, 10**6))
+        corners.extend([numbers.whole("the number of a vertex", 0, vertices - 1) for _ in range(sizes[-1])])
+    return Mesh.packed(points, np.array(corners), np.array(sizes))
 
 
 def _degree(numbers: Numbers, name: str) -> int:
