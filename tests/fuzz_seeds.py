@@ -89,8 +89,9 @@ def _rhino(path: Path) -> None:
 
 def _blocks(path: Path) -> None:
     """A block in a block, mirrored, and something hidden."""
-    import rhino3dm
+    import rhino3dm as library
 
+    rhino3dm: Any = library  # whose stubs know little
     model, mirror, hidden = rhino3dm.File3dm(), rhino3dm.Transform(1.0), rhino3dm.ObjectAttributes()
     mirror.M00, hidden.Visible = -1.0, False
     inner = block(rhino3dm, model, "inner", quad(rhino3dm))

@@ -120,7 +120,7 @@ def _end_site(numbers: Numbers) -> None:
 
 def _label(numbers: Numbers, label: str) -> None:
     """A label with blanks or none between its words and before its colon, and a value that may follow it at once."""
-    wanted, found = label.replace(" ", "").upper(), ""
+    wanted, found, item = label.replace(" ", "").upper(), "", ""
     while len(found) < len(wanted):
         item = numbers.next(label)
         found += item.upper()

@@ -106,7 +106,7 @@ def _influences(path: Path, skeleton: Skeleton, count: int) -> Influences:
         except (TypeError, ValueError, OverflowError):
             what = f"{path}: weights should be pairs of a vertex and a number, a list of them a bone"
             raise InputError(what) from None
-    return _padded(path, *(np.array(part) for part in (vertex, bone, weight)), skeleton, count)
+    return _padded(path, np.array(vertex), np.array(bone), np.array(weight), skeleton, count)
 
 
 def _padded(

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 import struct
 from array import array
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -80,7 +80,7 @@ class Rows(Protocol):
         """All rows of an element without lists, behind which so many rows follow."""
         ...
 
-    def take(self, kind: str, count: int) -> Iterable[float]:
+    def take(self, kind: str, count: int) -> Sequence[float]:
         """The next numbers of a row. Raises EOFError where there are none."""
         ...
 
