@@ -315,7 +315,10 @@ def _scene(
         raise InputError(f"{path} has coordinates of {LARGEST:g} and more: scale it down, or drop what is out there")
     alone = conversion if len(parts) == 1 else None
     if alone is None:
-        patches, said = welded(patches, weld_tolerance(patches, content.digits) if weld is None else weld)
+        try:
+            patches, said = welded(patches, weld_tolerance(patches, content.digits) if weld is None else weld)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
         found += said
     control, said = common_degree(patches)
     found += said
