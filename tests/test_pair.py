@@ -102,6 +102,8 @@ def test_a_pair_by_hand(tmp_path):
         (lambda n, a: n.update(version=2), "none of a pair"),
         (lambda n, a: n.pop("arrays"), "none of a pair"),
         (lambda n, a: n.update(arrays="none.npz"), r"there is no file .*none\.npz"),
+        (lambda n, a: n.update(arrays="../quad.npz"), r"quad\.json: its arrays are outside of its folder"),
+        (lambda n, a: n.update(arrays="/tmp/quad.npz"), r"outside of its folder \(/tmp/quad\.npz\)"),
         (lambda n, a: n.update(rate=0), "rate a positive number"),
         (lambda n, a: n.update(up=[0, 0, 0]), "up must be a direction"),
         (lambda n, a: n["joints"][0].update(parent=1), "'low' is its own ancestor"),
