@@ -79,9 +79,9 @@ def _of_the_chosen(choose: Callable[..., Any], axis: tuple[int, ...], at: tuple[
 
     The rule (``_reduce_chooser_jvp_rule``) finds the chosen ones by comparing values with their maximum bit for bit. So
     it "depend[s] on bitwise equivalence of forward & backward pass" (jax-ml/jax#40578, which mends the maximum of two
-    arrays in 0.12.0, not that along axes) and "silently drops a gradient branch" where the compiler "emits the operand
-    twice with different rounding" (#40564). From 0.12.0 on XLA's CPU backend does. tests/test_maxima.py has a small
-    program in which that is seen.
+    arrays, not that along axes) and "silently drops a gradient branch" where the compiler "emits the operand twice with
+    different rounding" (#40564). From jax 0.12.0 on XLA's CPU backend does; tests/test_maxima.py has a small program in
+    which that is seen.
     """
     return jax.jvp(partial(choose, axis=axis), (layout.once(at[0]),), along)
 
