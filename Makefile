@@ -1,12 +1,14 @@
 # make demo: set everything up, then the minimality sweep of the teapot.   make test: set up, then the tests.
-# make slow: the longer checks.   make lint: format, lint, types.   make clean: remove the environment.
+# make slow: the longer checks.   make lint: format, lint, types.   make clean: remove the environments.
+# make newest: the tests on the newest packages that the index serves for this Python (make newest PYTHON=python3.14).
 SHELL := /bin/bash
 PYTHON ?= python3
 VENV := .venv
+NEWEST := .venv-newest
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test slow lint clean
+.PHONY: demo test slow newest lint clean
 
 demo: $(VENV)/opengl
 	@echo "The minimality sweep of the teapot: half a minute; its table is shown here, pictures go under runs/" >&2
@@ -20,13 +22,20 @@ slow: $(VENV)/opengl $(VENV)/test
 	@echo "The longer checks: an hour or more; a dot is a test that passed, the last line says what it came to" >&2
 	$(BIN)/python -m pytest -m slow
 
+newest:
+	$(PYTHON) -m venv $(NEWEST)
+	$(NEWEST)/bin/python -m pip install --quiet --disable-pip-version-check --upgrade --upgrade-strategy eager \
+	  --editable '.[test]'
+	@$(NEWEST)/bin/python -m pip list | grep -E '^(jax|jaxlib|numpy|scipy|equinox|optimistix|networkx|usd-core) '
+	$(NEWEST)/bin/python -m pytest --numprocesses 2 --dist worksteal
+
 lint: $(VENV)/test $(VENV)/lint
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
 clean:
-	rm -rf $(VENV)
+	rm -rf $(VENV) $(NEWEST)
 
 $(VENV)/base: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from slefejax import layout, nets
 from slefejax.bezier import bernstein
-from slefejax.maxima import extent, larger, largest, largest_along, smaller
+from slefejax.maxima import at_least, extent, larger, largest, largest_along, smaller
 from slefejax.nets import Net
 from slefejax.projection import Projection, harmless, relative
 from slefejax.slefe import SECOND, Smooth, box_at, enclose_at, enclose_patch
@@ -282,7 +282,7 @@ def projected_widths(
         position = [
             nets.total([*(p[a][corner[a]] for a in range(3)), row[3]]) for p, row in zip(parts, matrix, strict=True)
         ]
-        inverse = 1.0 / larger(position[3], jnp.full_like(position[3], projection.near_w))
+        inverse = 1.0 / at_least(position[3], projection.near_w)
         for r in rows:
             seen[r].append(position[r] * inverse)
     sides = [extent(own, smooth) for own in seen]
@@ -309,7 +309,7 @@ def rational_widths(
         for degree, t in ((screen.shape[0] - 1, u), (screen.shape[1] - 1, v))
     )
     point = jnp.einsum("ik,jl,ijcp->klcp", basis_u, basis_v, screen, precision="highest")
-    w = larger(point[:, :, 3], jnp.full_like(point[:, :, 3], projection.near_w))[:, :, None]
+    w = at_least(point[:, :, 3], projection.near_w)[:, :, None]
     rows = 3 if with_depth else 2
     g = screen[:, :, None, None, :rows] - (point[:, :, :rows] / w) * screen[:, :, None, None, 3:]
     low, high = _enclose_at_breakpoints(g, segments, smooth)

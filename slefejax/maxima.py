@@ -8,11 +8,15 @@ temperature below 128 eps counts as that.
 
 from __future__ import annotations
 
-from functools import reduce
+from collections.abc import Callable
+from functools import partial, reduce
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jax.lax import select, stop_gradient
+
+from slefejax import layout
 
 
 def larger(a: Any, b: Any) -> Any:
@@ -38,12 +42,48 @@ def largest(values: list[Any], temperature: Any = None) -> Any:
     return _soft(whole, sum((value / unit) ** (1.0 / temperature) for value in values), temperature)
 
 
-def largest_along(values: Any, axis: tuple[int, ...], temperature: Any) -> Any:
-    """The soft maximum along axes of an array that is not negative."""
-    whole = jnp.max(values, axis=axis)
+def at_least(values: Any, floor: Any) -> Any:
+    """The larger of an array's elements and one number; NaN is not passed on.
+
+    Where they are equal the derivative is that of the number.
+    """
+    return larger(values, jnp.full_like(values, floor))
+
+
+def smallest_along(values: Any, axis: tuple[int, ...]) -> Any:
+    """The smallest along axes; where several are equal each has its share of the derivative."""
+    return _chosen_along(jnp.min, axis, values)
+
+
+def largest_along(values: Any, axis: tuple[int, ...], temperature: Any = None) -> Any:
+    """The largest along axes; with a temperature softly, and then none may be negative.
+
+    Where several are equal each has its share of the derivative.
+    """
+    whole = _chosen_along(jnp.max, axis, values)
+    if temperature is None:
+        return whole
     unit, temperature = _unit(whole), _resolvable(temperature, whole)
     powers = (values / jnp.expand_dims(unit, axis)) ** (1.0 / temperature)
     return _soft(whole, jnp.sum(powers, axis=axis), temperature)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def _chosen_along(choose: Callable[..., Any], axis: tuple[int, ...], values: Any) -> Any:
+    return choose(values, axis=axis)
+
+
+@_chosen_along.defjvp
+def _of_the_chosen(choose: Callable[..., Any], axis: tuple[int, ...], at: tuple[Any], along: tuple[Any]) -> Any:
+    """JAX's own rule, of values that are computed once.
+
+    The rule (``_reduce_chooser_jvp_rule``) finds the chosen ones by comparing values with their maximum bit for bit. So
+    it "depend[s] on bitwise equivalence of forward & backward pass" (jax-ml/jax#40578, which mends the maximum of two
+    arrays, not that along axes) and "silently drops a gradient branch" where the compiler "emits the operand twice with
+    different rounding" (#40564). From jax 0.12.0 on XLA's CPU backend does; tests/test_maxima.py has a small program in
+    which that is seen.
+    """
+    return jax.jvp(partial(choose, axis=axis), (layout.once(at[0]),), along)
 
 
 def blur(values: list[Any], temperature: Any, alike: tuple[int, ...] = ()) -> Any:

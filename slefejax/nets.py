@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from slefejax.bezier import restrict
-from slefejax.maxima import larger, largest_along, smaller
+from slefejax.maxima import larger, largest_along, smaller, smallest_along
 
 Lanes = Any  # (lanes,)
 _MOST_SLICES = 128
@@ -41,14 +41,14 @@ def each(function: Callable[..., Any], *nets: Net) -> Net:
 
 def top(net: Net, temperature: Any = None) -> Lanes:
     """The largest coefficient; with a temperature softly (``slefejax.maxima``), of an array that is not negative."""
-    if temperature is not None:
-        return largest_along(net, (0, 1), temperature)
-    return _tree(larger, net) if isinstance(net, list) else jnp.max(net, axis=(0, 1))
+    if temperature is None and isinstance(net, list):
+        return _tree(larger, net)
+    return largest_along(net, (0, 1), temperature)
 
 
 def bottom(net: Net) -> Lanes:
     """The smallest coefficient."""
-    return _tree(smaller, net) if isinstance(net, list) else jnp.min(net, axis=(0, 1))
+    return _tree(smaller, net) if isinstance(net, list) else smallest_along(net, (0, 1))
 
 
 def size(net: Net) -> int:

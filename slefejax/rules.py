@@ -9,13 +9,14 @@ fixed        ``setting`` pieces for every patch that is on the screen
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from slefejax.estimate import inside_of_tiles
-from slefejax.maxima import root
+from slefejax.maxima import at_least, larger, largest_along, root, smallest_along
 from slefejax.projection import Projection
 from slefejax.slefe import enclose_patch
 
@@ -38,15 +39,15 @@ def filip(control: Control, projection: Projection, tolerance: Any, setting: Any
         reach = reach + (d * (d - 1) * _longest(first) if d > 1 else 0.0)
     rows = projection.to_pixels
     steepness = [_norm(rows[r, :3]) + projection.half[r] * _norm(rows[3, :3]) for r in (0, 1)]
-    w = jnp.min(_undivided(control, projection)[3], axis=(0, 1))
-    pixels = jnp.maximum(*steepness) / jnp.maximum(w, projection.near_w) * reach / 8.0
-    return jnp.sqrt(jnp.maximum(pixels / tolerance, 1.0))
+    w = smallest_along(_undivided(control, projection)[3], (0, 1))
+    pixels = larger(*steepness) / at_least(w, projection.near_w) * reach / 8.0
+    return jnp.sqrt(at_least(pixels / tolerance, 1.0))
 
 
 def minmax(control: Control, projection: Projection, tolerance: Any, setting: Any) -> Any:
     """The longer side of the box around the projected control points, over the tolerance."""
     x, y = _projected(control, projection)
-    return jnp.maximum(_extent(x, y) / tolerance, 1.0)
+    return at_least(_extent(x, y) / tolerance, 1.0)
 
 
 def edge_length(control: Control, projection: Projection, tolerance: Any, setting: Any) -> Any:
@@ -55,7 +56,7 @@ def edge_length(control: Control, projection: Projection, tolerance: Any, settin
     edges = [(x[0], y[0]), (x[-1], y[-1]), (x[:, 0], y[:, 0]), (x[:, -1], y[:, -1])]
     # collapsed edges have no direction: their derivative counts as 0
     lengths = [jnp.sum(root(jnp.diff(a, axis=0) ** 2 + jnp.diff(b, axis=0) ** 2), axis=0) for a, b in edges]
-    return jnp.maximum(jnp.max(jnp.stack(lengths), axis=0) / setting, 1.0)
+    return at_least(reduce(larger, lengths) / setting, 1.0)
 
 
 def screen_box(control: Control, projection: Projection, tolerance: Any, setting: Any) -> Any:
@@ -63,7 +64,7 @@ def screen_box(control: Control, projection: Projection, tolerance: Any, setting
     lower, upper = enclose_patch(control, _BOX_SEGMENTS)
     pairs = [_projected(bound, projection) for bound in (lower, upper)]
     x, y = (jnp.concatenate([pair[axis] for pair in pairs]) for axis in (0, 1))
-    return jnp.maximum(_extent(x, y) / setting, 1.0)
+    return at_least(_extent(x, y) / setting, 1.0)
 
 
 def fixed(control: Control, projection: Projection, tolerance: Any, setting: Any) -> Any:
@@ -91,18 +92,18 @@ def _undivided(control: Control, projection: Projection) -> list[Any]:
 
 def _projected(control: Control, projection: Projection) -> tuple[Any, Any]:
     x, y, _, w = _undivided(control, projection)
-    w = jnp.maximum(w, projection.near_w)
+    w = at_least(w, projection.near_w)
     return x / w, y / w
 
 
 def _extent(x: Any, y: Any) -> Any:
-    sides = [jnp.max(t, axis=(0, 1)) - jnp.min(t, axis=(0, 1)) for t in (x, y)]
-    return jnp.maximum(sides[0], sides[1])
+    sides = [largest_along(t, (0, 1)) - smallest_along(t, (0, 1)) for t in (x, y)]
+    return larger(*sides)
 
 
 def _longest(vectors: Any) -> Any:
     """Length of the longest of vectors ``(i, j, 3, lanes)``."""
-    return root(jnp.max(jnp.sum(vectors**2, axis=2), axis=(0, 1)))
+    return root(largest_along(jnp.sum(vectors**2, axis=2), (0, 1)))
 
 
 def _norm(vector: Any) -> Any:

@@ -25,6 +25,7 @@ from slefejax import layout
 from slefejax.arguments import Patches, Segments, check_patches, segment_pair
 from slefejax.bezier import evaluate_patch, restrict
 from slefejax.errors import InputError
+from slefejax.maxima import largest_along, smallest_along
 from slefejax.slefe import Slefe, outward_patch
 
 
@@ -82,14 +83,14 @@ def _tiles(control: Any, segments: tuple[int, int]) -> tuple[Any, Any]:
     whole = control[:, :, :3] / control[:, :, 3:] if control.shape[2] == 4 else control
     far = jnp.max(jnp.abs(whole), axis=(0, 1))[:, None, None]
     points = position / weight
-    hull_lower, hull_upper = jnp.min(points, axis=(0, 1)) - error * far, jnp.max(points, axis=(0, 1)) + error * far
+    hull_lower, hull_upper = smallest_along(points, (0, 1)) - error * far, largest_along(points, (0, 1)) + error * far
     s = evaluate_patch(position, 0.5, 0.5) / evaluate_patch(weight, 0.5, 0.5)
     g_lower, g_upper = outward_patch(position - s * weight, (1, 1))
     blur = error * far * jnp.max(weight, axis=(0, 1))
     low, high = _weight_bounds(weight)
     ends = (low * (1.0 - error), high * (1.0 + error))
-    lower = jnp.min(jnp.stack([(g_lower - blur) / end for end in ends]), axis=(0, 1, 2))
-    upper = jnp.max(jnp.stack([(g_upper + blur) / end for end in ends]), axis=(0, 1, 2))
+    lower = smallest_along(jnp.stack([(g_lower - blur) / end for end in ends]), (0, 1, 2))
+    upper = largest_along(jnp.stack([(g_upper + blur) / end for end in ends]), (0, 1, 2))
     last = 4.0 * jnp.finfo(control.dtype).eps * (far + jnp.maximum(jnp.abs(lower), jnp.abs(upper)))
     lower, upper = jnp.maximum(s + lower - last, hull_lower), jnp.minimum(s + upper + last, hull_upper)
     return jnp.moveaxis(lower, 0, 2), jnp.moveaxis(upper, 0, 2)
@@ -113,6 +114,6 @@ def _weight_bounds(weight: Any) -> tuple[Any, Any]:
     the lower bound of the whole tile.
     """
     lower, upper = outward_patch(weight, (1, 1))
-    smallest = jnp.min(weight, axis=(0, 1))
+    smallest = smallest_along(weight, (0, 1))
     sunken = jnp.min(lower, axis=(0, 1)) < smallest
     return jnp.where(sunken, smallest, lower), upper

@@ -14,6 +14,7 @@ from slefejax import layout
 from slefejax.arguments import Number, Patches, Segments, check_patches, segment_pair
 from slefejax.errors import InputError
 from slefejax.estimate import visible_widths
+from slefejax.maxima import largest_along
 from slefejax.projection import Projection, placed, positive
 from slefejax.request import check_smooth
 from slefejax.slefe import enclose_patch
@@ -97,4 +98,4 @@ def _twist(control: Any, projection: Projection, _: Any) -> Any:
     scale = 0.25 * (control.shape[0] - 1) * (control.shape[1] - 1)
     boxes = enclose_patch(control, (1, 1))
     seen = visible_widths(boxes, control, projection, None, (1, 1), with_depth=False)[2]
-    return jnp.where(seen, scale * jnp.max(jnp.maximum(*sides), axis=(0, 1)), 0.0)
+    return jnp.where(seen, scale * largest_along(jnp.maximum(*sides), (0, 1)), 0.0)

@@ -6,6 +6,7 @@ import atexit
 import os
 import shutil
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import jax
@@ -92,6 +93,13 @@ def main_view(teapot):
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20261122)
+
+
+@pytest.fixture(params=[np.float64, np.float32], ids=["double", "single"])
+def precision(request) -> Iterator[type]:
+    """A test runs twice, with JAX in double precision and as it comes: numbers that it makes should be of this type."""
+    with jax.enable_x64(request.param == np.float64):
+        yield request.param
 
 
 @pytest.fixture(autouse=True, scope="module")

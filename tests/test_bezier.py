@@ -3,6 +3,7 @@ from __future__ import annotations
 from fractions import Fraction
 from math import comb
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
@@ -23,6 +24,25 @@ def exact(coefficients, t):
 def test_curve_at_dyadic_parameters_is_exact(coefficients, eighth):
     t = eighth / 8.0
     assert float(bezier.evaluate_curve(np.array(coefficients), np.array(t))) == float(exact(coefficients, t))
+
+
+@pytest.mark.parametrize("xp", [np, jnp])
+def test_forms_keep_the_precision(xp, rng, precision):
+    """Numbers of eight bits, and few enough operations that 24 bits hold all results: equal to exact fractions."""
+    net, t = xp.asarray(rng.integers(-8, 8, (4, 3)) / 8.0, precision), precision(0.25)
+    found = {
+        "curve": (bezier.evaluate_curve(net, t), [exact(column, 0.25) for column in np.asarray(net, float).T]),
+        "patch": (
+            bezier.evaluate_patch(net, t, t),
+            exact([exact(row, 0.25) for row in np.asarray(net, float)], 0.25),
+        ),
+        "restricted": (bezier.restrict(net, t, 3 * t)[0], [exact(column, 0.25) for column in np.asarray(net, float).T]),
+        "second": (bezier.second_differences(net), np.diff(np.asarray(net, float), 2, axis=0)),
+        "derivative": (bezier.derivative(net), 3 * np.diff(np.asarray(net, float), axis=0)),
+    }
+    for name, (own, wanted) in found.items():
+        assert own.dtype == precision, name
+        assert np.array_equal(np.asarray(own, float), np.asarray(wanted, float)), name
 
 
 def test_patch_is_the_tensor_product(rng):

@@ -27,11 +27,13 @@ def as_bezier(control, degree):
 
 @pytest.mark.parametrize("segments", [1, 2, 3, 5])
 @pytest.mark.parametrize("degree", [1, 2, 3, 4, 5, 7])
-def test_splines_stay_inside(degree, segments, rng):
+def test_splines_stay_inside(degree, segments, rng, precision):
     for more in (1, 2, 5, 9):
-        control = rng.normal(size=(degree + more, 40))
+        control = rng.normal(size=(degree + more, 40)).astype(precision)
         lower, upper = bspline_slefe(control, degree, segments, axis=0)
         assert lower.shape == (more * segments + 1, 40)
+        assert lower.dtype == upper.dtype == precision
+        control = control.astype(float)
         assert_encloses(lower, upper, spline(control, degree), samples=40 * more * segments + 1)
 
 

@@ -26,8 +26,8 @@ SYMMETRIES = {
 
 
 @pytest.mark.parametrize("name", SYMMETRIES)
-def test_neighbours_are_found_however_they_are_laid(name, rng):
-    left, right = grid_patch(rng), grid_patch(rng)
+def test_neighbours_are_found_however_they_are_laid(name, rng, precision):
+    left, right = grid_patch(rng).astype(precision), grid_patch(rng).astype(precision)
     right[0] = left[-1]  # v from the same end, at u = 1 of one and u = 0 of the other
     numbers = shared_edges(np.stack([left, SYMMETRIES[name](right)]))
     common = set(numbers[0]) & set(numbers[1])
@@ -78,10 +78,10 @@ def test_numbers_of_points_are_not_raised():
     assert len(np.unique(shared_edges(net))) == 8
 
 
-def test_one_bit_is_a_difference(rng):
-    left, right = grid_patch(rng), grid_patch(rng)
+def test_one_bit_is_a_difference(rng, precision):
+    left, right = grid_patch(rng).astype(precision), grid_patch(rng).astype(precision)
     right[0] = left[-1]
-    right[0, 1, 2] = np.nextafter(right[0, 1, 2], np.inf)
+    right[0, 1, 2] = np.nextafter(right[0, 1, 2], precision(np.inf))
     assert len(set(shared_edges(np.stack([left, right])).ravel())) == 8
 
 

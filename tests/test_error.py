@@ -16,11 +16,13 @@ def bernstein3(t):
     return np.array([(1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t * t * (1 - t), t**3])
 
 
-def test_position_by_plain_numpy(teapot, main_view, rng):
+def test_position_by_plain_numpy(teapot, main_view, rng, precision):
     patch, u, v = rng.integers(0, 32, 50), rng.random(50), rng.random(50)
-    found = surface_on_screen(teapot.patches(), main_view, patch, u, v)
+    patches = teapot.patches().astype(precision)
+    found = surface_on_screen(patches, main_view, patch, u, v)
+    assert found.dtype == np.float64, "what is measured is, in double precision, whatever is drawn"
     for n in range(50):
-        point = np.einsum("i,j,ijc->c", bernstein3(u[n]), bernstein3(v[n]), teapot.patches()[patch[n]])
+        point = np.einsum("i,j,ijc->c", bernstein3(u[n]), bernstein3(v[n]), patches[patch[n]].astype(float))
         x = main_view.world_to_screen @ np.append(point, 1.0)
         np.testing.assert_allclose(found[n], x[:3] / x[3], rtol=1e-12)
 

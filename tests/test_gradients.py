@@ -16,6 +16,7 @@ from slefejax.request import METHODS
 FAST: dict[str, dict[str, Any]] = {"slefe": {"segments": 1}, "certified": {"tiles": 1}, "fixed": {"setting": 7.0}}
 EYE = jnp.array([4.5, -6.0, 4.0])
 TARGET = (0.0, 0.0, 1.2)
+SHAPES = [(3, 5, 3), (6, 6, 3), (2, 4, 3), (4, 4, 4), (3, 3, 4)]  # more control nets; with 4 at the end rational
 
 
 def _view(eye: Any) -> View:
@@ -60,6 +61,50 @@ def test_no_gradient_is_nan(method, hard):
         assert np.isfinite(slope).all()
     hidden = slopes[0][8:10]
     assert not np.any(hidden), "of what is off-screen nothing depends on anything"
+
+
+@pytest.fixture(scope="module")
+def rough() -> np.ndarray:
+    """Patches in front of the camera of no symmetry, and no multiple of a chunk's lanes."""
+    rng = np.random.default_rng(11)
+    return np.array(TARGET) + rng.normal(size=(45, 1, 1, 3)) + 0.5 * rng.normal(size=(45, 4, 4, 3))
+
+
+@pytest.mark.parametrize("shape", [(4, 4, 3), *(pytest.param(s, marks=pytest.mark.slow) for s in SHAPES)])
+@pytest.mark.parametrize(
+    "method",
+    ["slefe", "filip", "minmax", "edge-length", "screen-box", pytest.param("certified", marks=pytest.mark.slow)],
+)
+def test_reverse_mode_is_forward_mode_is_differences(method, shape, rough):
+    """Patch by patch: each factor depends on its own patch alone, so one pass each way compares all of them."""
+    if method == "filip" and shape[-1] == 4:
+        pytest.skip("filip is for polynomial patches")
+    rng = np.random.default_rng(shape)
+    points = jnp.asarray(rough if shape == (4, 4, 3) else _of_shape(rng, shape))
+    direction = jnp.asarray(rng.normal(size=points.shape))
+
+    def factor(points: Any) -> Any:
+        return tessellation_factors(points, _view(EYE), method, **FAST.get(method, {})).factor
+
+    found, forward = jax.jvp(factor, (points,), (direction,))
+    _, back = jax.vjp(factor, points)
+    reverse = jnp.sum(back(jnp.ones_like(found))[0] * direction, axis=(1, 2, 3))
+    # rounding of sums that cancel
+    np.testing.assert_allclose(reverse, forward, rtol=1e-9, atol=1e-9 * float(jnp.abs(forward).max()))
+    h = 1e-6
+    numeric = (factor(points + h * direction) - factor(points - h * direction)) / (2 * h)
+    # of second order, but where h reaches over a tie
+    close = np.isclose(numeric, forward, rtol=1e-4, atol=1e-5 * float(jnp.abs(forward).max()))
+    assert np.count_nonzero(~close) <= 1
+    assert np.count_nonzero(forward) > len(points) / 3
+
+
+def _of_shape(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    points = np.array(TARGET) + rng.normal(size=(37, 1, 1, 3)) + 0.5 * rng.normal(size=(37, *shape[:2], 3))
+    if shape[2] == 3:
+        return points
+    weights = np.exp(0.3 * rng.normal(size=(37, *shape[:2], 1)))
+    return np.concatenate([points * weights, weights], axis=-1)
 
 
 @cache

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slefejax.maxima import blur, extent, larger, largest, largest_along, root, sizes, smaller
+from slefejax.maxima import at_least, blur, extent, larger, largest, largest_along, root, sizes, smaller, smallest_along
 
 # subnormal numbers count as 0
 sizes_of_numbers = st.lists(st.just(0.0) | st.floats(1e-90, 1e6), min_size=2, max_size=6)
@@ -100,3 +100,44 @@ def test_exact_maxima():
     assert extent(values, None).tolist() == [1.0, 7.0]
     assert root(jnp.array([4.0, 0.0])).tolist() == [2.0, 0.0]
     assert jax.grad(lambda x: jnp.sum(root(x)))(jnp.array([4.0, 0.0])).tolist() == [0.25, 0.0]
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_no_branch_of_a_gradient_is_dropped(rng, dtype):
+    """The smallest of computed numbers, in a loop that is computed again for the gradient.
+
+    All points moved along the row change W alone, so that derivative is known: bends / W^2. With ``jnp.min`` it is 0 in
+    some lanes in jax 0.12.0 and 0.12.0.1: see ``slefejax.maxima``.
+    """
+    nets, row = rng.normal(size=(2, 4, 4, 3, 64)).astype(dtype), jnp.asarray([-0.5, 0.7, 0.4, 5.0], dtype)
+
+    def quotient(net, row):
+        bends = [largest_along(jnp.sum(jnp.diff(net, 2, axis) ** 2, axis=2), (0, 1)) for axis in (0, 1)]
+        w = sum(row[a] * net[:, :, a] for a in range(3)) + row[3]
+        return (bends[0] + bends[1]) / smallest_along(w, (0, 1))
+
+    @jax.jit
+    def slope(nets, row):
+        again = jax.checkpoint(lambda net: quotient(net, row), prevent_cse=False)
+        values, back = jax.vjp(lambda nets: jax.lax.map(again, nets), nets)
+        return values, back(jnp.ones_like(values))[0]
+
+    values, slopes = slope(nets, row)
+    assert slopes.dtype == values.dtype == dtype
+    unit = np.asarray(row[:3], float)
+    w = np.tensordot(unit, nets.astype(float), axes=(0, 3)).min(axis=(1, 2)) + 5.0
+    found = np.einsum("cijal,a->cl", np.asarray(slopes, float), unit) / (unit @ unit)
+    # the gradients of bends cancel: a few dozen roundings of numbers up to 16 times theirs
+    np.testing.assert_allclose(found, -np.asarray(values, float) / w, rtol=1e4 * np.finfo(dtype).eps, atol=1e-9)
+
+
+def test_maxima_along_axes(rng):
+    values = rng.normal(size=(3, 4, 5))
+    assert np.array_equal(largest_along(jnp.asarray(values), (0, 1)), values.max(axis=(0, 1)))
+    assert np.array_equal(smallest_along(jnp.asarray(values), (0, 1)), values.min(axis=(0, 1)))
+    at = jnp.array([3.0, 3.0, 1.0])
+    assert jax.grad(lambda x: largest_along(x, (0,)))(at).tolist() == [0.5, 0.5, 0.0]
+    assert jax.grad(lambda x: smallest_along(x, (0,)))(at).tolist() == [0.0, 0.0, 1.0]
+    assert jax.hessian(lambda x: largest_along(x, (0,)) ** 2)(at[1:]).tolist() == [[2.0, 0.0], [0.0, 0.0]]
+    assert at_least(at, 2.0).tolist() == [3.0, 3.0, 2.0]
+    assert jax.grad(lambda x: jnp.sum(at_least(x, 3.0)))(jnp.array([4.0, 3.0, 1.0])).tolist() == [1.0, 0.0, 0.0]

@@ -10,25 +10,27 @@ from slefejax import Camera, InputError, View, sampled_error, tessellation_facto
 RULES = ("filip", "minmax", "edge-length", "screen-box", "fixed")
 
 
-def test_by_hand_on_a_flat_rectangle():
+def test_by_hand_on_a_flat_rectangle(precision):
     """400 x 100 px: flat, evenly parametrised."""
-    corners = np.array([[[0, 0, 0], [0, 100, 0]], [[400, 0, 0], [400, 100, 0]]], float)[None]
+    corners = np.array([[[0, 0, 0], [0, 100, 0]], [[400, 0, 0], [400, 100, 0]]], precision)[None]
     view = View(Camera.orthographic((300, 200, 5), (300, 200, 0), up=(0, 1, 0), height=400.0), 600, 400)
     wanted = {"filip": 1.0, "minmax": 800.0, "edge-length": 50.0, "screen-box": 400.0, "fixed": 16.0}
     for method, factor in wanted.items():
-        assert tessellation_factors(corners, view, method).factor.tolist() == pytest.approx([factor]), method
+        found = tessellation_factors(corners, view, method).factor
+        assert found.dtype == precision, method
+        assert found.tolist() == pytest.approx([factor]), method
     assert tessellation_factors(corners, view, "screen-box", setting=8).factor.tolist() == pytest.approx([50.0])
     assert tessellation_factors(corners, view, "edge-length", setting=20.0).factor.tolist() == pytest.approx([20.0])
     assert tessellation_factors(corners, view, "fixed", setting=3).factor.tolist() == [3.0]
 
 
-def test_filip_by_hand():
+def test_filip_by_hand(precision):
     """y = A u^2 over 100 px: second derivative 2 A, so A / (4 n^2) <= tolerance; and a twist counts twice."""
     view = View(Camera.orthographic((50, 100, 5), (50, 100, 0), up=(0, 1, 0), height=300.0), 300, 300)
-    parabola = np.zeros((1, 3, 2, 3))
+    parabola = np.zeros((1, 3, 2, 3), precision)
     parabola[0, :, :, 0], parabola[0, 2, :, 1], parabola[0, :, 1, 2] = [[0], [50], [100]], 200, 1
     assert float(tessellation_factors(parabola, view, "filip").factor[0]) == pytest.approx(np.sqrt(200 / 4 / 0.5))
-    twisted = np.array([[[0, 0, 0], [0, 100, 0]], [[100, 0, 0], [150, 100, 0]]], float)[None]
+    twisted = np.array([[[0, 0, 0], [0, 100, 0]], [[100, 0, 0], [150, 100, 0]]], precision)[None]
     assert float(tessellation_factors(twisted, view, "filip").factor[0]) == pytest.approx(np.sqrt(2 * 50 / 8 / 0.5))
 
 

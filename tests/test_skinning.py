@@ -22,6 +22,7 @@ from slefejax.skinning import (
 )
 
 VERTICES, BONES = 40, 7
+ROUNDING = 500  # in eps: of a few dozen operations each on numbers of up to about 5
 
 
 def rigid(rng, *shape):
@@ -36,15 +37,16 @@ def random_influences(rng, most=5):
     return indices, weights
 
 
-def test_linear_blend_is_the_loop(rng):
+def test_linear_blend_is_the_loop(rng, precision):
     rest, transforms = rng.normal(size=(VERTICES, 3)), rng.normal(size=(BONES, 3, 4))
     indices, weights = random_influences(rng)
     wanted = np.zeros((VERTICES, 3))
     for v in range(VERTICES):
         for bone, weight in zip(indices[v], weights[v] / weights[v].sum(), strict=True):
             wanted[v] += weight * (transforms[bone, :, :3] @ rest[v] + transforms[bone, :, 3])
-    found = linear_blend(rest, transforms, Influences.of(indices, weights, BONES))
-    np.testing.assert_allclose(found, wanted, atol=1e-14)
+    found = linear_blend(*(x.astype(precision) for x in (rest, transforms)), Influences.of(indices, weights, BONES))
+    assert found.dtype == precision
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=ROUNDING * np.finfo(precision).eps)
 
 
 def as_dual_quaternion(matrix):
@@ -56,7 +58,7 @@ def as_dual_quaternion(matrix):
     return real, 0.5 * np.asarray(multiply(np.array([0.0, *matrix[:, 3]]), real))
 
 
-def test_dual_quaternions_are_the_loop(rng):
+def test_dual_quaternions_are_the_loop(rng, precision):
     rest, transforms = rng.normal(size=(VERTICES, 3)), rigid(rng, BONES)
     indices, weights = random_influences(rng)
     influences = Influences.of(indices, weights, BONES)
@@ -73,7 +75,9 @@ def test_dual_quaternions_are_the_loop(rng):
         back = real * [1, -1, -1, -1]
         turned = np.asarray(multiply(multiply(real, np.array([0.0, *rest[v]])), back))[1:]
         wanted[v] = turned + 2 * np.asarray(multiply(dual, back))[1:]
-    np.testing.assert_allclose(dual_quaternion_blend(rest, transforms, influences), wanted, atol=1e-13)
+    found = dual_quaternion_blend(*(x.astype(precision) for x in (rest, transforms)), influences)
+    assert found.dtype == precision
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=ROUNDING * np.finfo(precision).eps)
 
 
 def general(rng, *shape):

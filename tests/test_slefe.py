@@ -23,13 +23,15 @@ def interpolate(breakpoints, t):
 
 @pytest.mark.parametrize("segments", [1, 2, 3, 5, 8])
 @pytest.mark.parametrize("degree", [2, 3, 4, 5, 7])
-def test_curves_stay_inside(degree, segments, rng):
-    """4,000 curves each, 100,000 in all, of sizes over twelve decades."""
+def test_curves_stay_inside(degree, segments, rng, precision):
+    """4,000 curves each, 200,000 in all, of sizes over twelve decades: single precision is rounded outwards, too."""
     size = 10.0 ** rng.uniform(-6, 6, 4000)
-    curves = rng.normal(size=(degree + 1, 4000)) * size
+    curves = (rng.normal(size=(degree + 1, 4000)) * size).astype(precision)
     t = np.linspace(0, 1, 41)
-    values = np.stack([evaluate_curve(curves, x) for x in t])
-    lower, upper = (interpolate(np.asarray(b), t) for b in slefe(curves, segments, axis=0))
+    values = np.stack([evaluate_curve(curves.astype(float), x) for x in t])
+    bounds = slefe(curves, segments, axis=0)
+    assert bounds.lower.dtype == bounds.upper.dtype == precision
+    lower, upper = (interpolate(np.asarray(b, float), t) for b in bounds)
     slack = ROUNDING * np.abs(curves).max(axis=0)
     assert np.all(lower <= values + slack)
     assert np.all(values <= upper + slack)
@@ -37,12 +39,14 @@ def test_curves_stay_inside(degree, segments, rng):
 
 @pytest.mark.parametrize("segments", [(1, 1), (3, 3), (2, 5), (4, 1)])
 @pytest.mark.parametrize("degrees", [(1, 1), (2, 1), (3, 3), (2, 5)])
-def test_patches_stay_inside(degrees, segments, rng):
-    """6,400 patches each, more than 100,000 in all."""
+def test_patches_stay_inside(degrees, segments, rng, precision):
+    """6,400 patches each, more than 200,000 in all."""
     count, (du, dv) = 6400, degrees
     patches = rng.normal(size=(count, du + 1, dv + 1, 1)) * 10.0 ** rng.uniform(-6, 6, (count, 1, 1, 1))
-    boxes = slefe_boxes(patches, segments)
-    lower, upper = (np.moveaxis(np.asarray(b)[..., 0], 0, -1) for b in boxes)
+    patches = patches.astype(precision).astype(float)
+    boxes = slefe_boxes(patches.astype(precision), segments)
+    assert boxes.lower.dtype == boxes.upper.dtype == precision
+    lower, upper = (np.moveaxis(np.asarray(b, float)[..., 0], 0, -1) for b in boxes)
     assert lower.shape == (segments[0] + 1, segments[1] + 1, count)
     slack = ROUNDING * np.abs(patches).max(axis=(1, 2, 3))
     control = np.moveaxis(patches[..., 0], 0, -1)
@@ -53,14 +57,15 @@ def test_patches_stay_inside(degrees, segments, rng):
         assert np.all(value <= high + slack)
 
 
-def test_worst_cubic_is_the_table():
+def test_worst_cubic_is_the_table(precision):
     """Second differences (1, 0): the enclosure's width is the table's, .0695 of MATH.md, section 2."""
-    curve = np.array([0.0, -2 / 3, -1 / 3, 0.0])
+    curve = np.array([0.0, -2 / 3, -1 / 3, 0.0], precision)
     lower, upper = slefe(curve, 3)
     table = slefe_table(3, 3)
     # bounds are rounded outwards, by 20 eps of the largest coefficient
-    np.testing.assert_allclose(lower, table.lower[0], rtol=0, atol=4e-15)
-    np.testing.assert_allclose(upper, table.upper[0], rtol=0, atol=4e-15)
+    atol = 20 * np.finfo(precision).eps
+    np.testing.assert_allclose(lower, table.lower[0], rtol=0, atol=atol)
+    np.testing.assert_allclose(upper, table.upper[0], rtol=0, atol=atol)
 
 
 @pytest.mark.parametrize("degree", [3, 4, 6])
