@@ -44,7 +44,8 @@ def test_linear_blend_is_the_loop(rng, precision):
     for v in range(VERTICES):
         for bone, weight in zip(indices[v], weights[v] / weights[v].sum(), strict=True):
             wanted[v] += weight * (transforms[bone, :, :3] @ rest[v] + transforms[bone, :, 3])
-    found = linear_blend(*(x.astype(precision) for x in (rest, transforms)), Influences.of(indices, weights, BONES))
+    influences = Influences.of(indices, weights, BONES)
+    found = linear_blend(rest.astype(precision), transforms.astype(precision), influences)
     assert found.dtype == precision
     np.testing.assert_allclose(found, wanted, rtol=0, atol=ROUNDING * np.finfo(precision).eps)
 
@@ -75,7 +76,7 @@ def test_dual_quaternions_are_the_loop(rng, precision):
         back = real * [1, -1, -1, -1]
         turned = np.asarray(multiply(multiply(real, np.array([0.0, *rest[v]])), back))[1:]
         wanted[v] = turned + 2 * np.asarray(multiply(dual, back))[1:]
-    found = dual_quaternion_blend(*(x.astype(precision) for x in (rest, transforms)), influences)
+    found = dual_quaternion_blend(rest.astype(precision), transforms.astype(precision), influences)
     assert found.dtype == precision
     np.testing.assert_allclose(found, wanted, rtol=0, atol=ROUNDING * np.finfo(precision).eps)
 

@@ -20,6 +20,7 @@ import numpy as np
 
 from slefejax.errors import InputError
 from slefejax.io.content import read_bytes
+from slefejax.io.limits import LARGEST_TEXT, check_size
 from slefejax.io.gltf_extensions import DRACO, MESHOPT, extension_of, hides_shapes
 
 _TYPES = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5125: "u4", 5126: "f4"}
@@ -46,6 +47,7 @@ class GltfFile:
         """From .gltf or .glb. Raises InputError for what is neither, and for extensions that hide the shapes."""
         data = read_bytes(path)
         text, binary = _chunks(path, data) if data[:4] == b"glTF" else (data, None)
+        check_size(path, len(text), LARGEST_TEXT)
         try:
             content = json.loads(text)
             version = str(content["asset"]["version"])
