@@ -39,7 +39,9 @@ def test_real_scenes_are_saved_and_read_again(tmp_path, models, name):
     scene = load(models / name)
     save(scene, str(tmp_path / "a.json"))
     again = load(tmp_path / "a.json")
-    assert np.array_equal(again.patches(), scene.patches())
+    # at rest a rig may move the vertices, by weights that are divided by their sums once more
+    atol = 0 if scene.rig is None else 1e-14 * np.abs(scene.patches()).max()
+    np.testing.assert_allclose(again.patches(), scene.patches(), rtol=0, atol=atol)
     assert (again.rig is None) == (scene.rig is None)
     if scene.rig is not None:
         assert scene.rig.motion is not None
