@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import atexit
+import ctypes
+import gc
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -27,6 +30,7 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
     os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="slefejax-tests-")
     atexit.register(shutil.rmtree, os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
 jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
 install_import_hook(
     [f"slefejax.{name}" for name in ("arguments", "bezier", "edges", "error", "layout", "slefe", "tessellator", "view")]
@@ -49,7 +53,7 @@ settings.register_profile(
 )
 settings.load_profile("seeded")
 
-_MANY_MAPS = 20_000  # of 65,530 that Linux allows
+_MUCH_MEMORY = 900_000  # kB; a module's tests add a few hundred thousand
 MODELS = Path(__file__).resolve().parents[2] / "shared" / "models"
 
 
@@ -104,8 +108,11 @@ def precision(request) -> Iterator[type]:
 
 @pytest.fixture(autouse=True, scope="module")
 def few_programs():
-    """A process may have so many mappings of memory, and each compiled program has some: forget them in time."""
+    """What was compiled takes memory, and some of the mappings that Linux allows a process: forget it in time."""
     yield
-    maps = Path("/proc/self/maps")
-    if maps.exists() and maps.read_bytes().count(b"\n") > _MANY_MAPS:
+    status = Path("/proc/self/status")
+    if status.exists() and int(re.findall(r"VmRSS:\s+(\d+) kB", status.read_text())[0]) > _MUCH_MEMORY:
         jax.clear_caches()
+        gc.collect()
+        if hasattr(libc := ctypes.CDLL(None), "malloc_trim"):  # without it the process keeps what was freed
+            libc.malloc_trim(0)

@@ -376,7 +376,7 @@ def test_lists_are_poses_and_other_things_are_none(walker, teapot, main_view, vi
     for keys in ([None] * 6, ["a"] * 6, np.zeros(6) * 1j):
         with pytest.raises(InputError, match="an array of"):
             session.factors(view, Pose(None, keys))
-    for deform in (3, "linear", None):
+    for deform in (3, "linear", ()):
         with pytest.raises(InputError, match="deform must be a function"):
             Session(walker, deform=deform)  # type: ignore[arg-type]
     for dtype in ("int32", np.complex64, "x", np.float16):

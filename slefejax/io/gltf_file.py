@@ -20,8 +20,8 @@ import numpy as np
 
 from slefejax.errors import InputError
 from slefejax.io.content import read_bytes
-from slefejax.io.limits import LARGEST_TEXT, check_size
 from slefejax.io.gltf_extensions import DRACO, MESHOPT, extension_of, hides_shapes
+from slefejax.io.limits import LARGEST_TEXT, check_size
 
 _TYPES = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5125: "u4", 5126: "f4"}
 _SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
