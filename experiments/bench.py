@@ -14,6 +14,7 @@ import tyro
 
 from slefejax import layout
 from slefejax.errors import InputError
+from slefejax.arguments import no_such
 from slefejax.experiments.bench_process import PRECISIONS, Worker, the_device
 from slefejax.experiments.bench_stages import DOUBLE, ONCE, STAGES
 from slefejax.experiments.options import OutputOptions
@@ -66,7 +67,7 @@ class Bench:
     def _cells(self) -> dict[str, tuple[str, int, str]]:
         unknown = [name for name in self.only if name not in STAGES]
         if unknown:
-            raise InputError(f"there is no stage {unknown[0]!r}: choose among {', '.join(map(repr, STAGES))}")
+            raise InputError(no_such("stage", unknown[0], STAGES))
         if not self.counts or min(self.counts) < 1:
             raise InputError("--counts needs whole numbers of at least 1")
         counts = self.counts[:2] if self.quick else self.counts

@@ -56,8 +56,8 @@ class BudgetOfScene:
                     rows.append(self._row(scene, view, wanted))
                     show(len(rows))
             write_budget(run.file("budget.png"), rows, self._curve(scene, view, rows), self.by, scene.name)
-            out = run.finish(rows, {"scene": scene.name})
-        notes = (*scene.notes, *_beyond(rows))
+            notes = (*scene.notes, *_beyond(rows))
+            out = run.finish(rows, {"scene": scene.name, "notes": notes})
         what = "tolerance" if self.by == "tolerance" else "distance of the camera"
         title = f"{scene.name}: the {what} that meets a number of triangles, method {self.prediction.method}"
         return Report(scene.name, out, rows, title, notes, as_json=self.output.json)

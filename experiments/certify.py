@@ -12,9 +12,17 @@ import tyro
 
 from slefejax import Factors, Scene, View, minimal_factors, sampled_error, tessellation_factors, triangle_error
 from slefejax.error import drawn_error
-from slefejax.errors import InputError
+from slefejax.errors import InputError, naming
 from slefejax.experiments.minimality import slips
-from slefejax.experiments.options import LoadOptions, OutputOptions, ViewOptions, camera_record, check_count
+from slefejax.experiments.options import (
+    LoadOptions,
+    OutputOptions,
+    Scenes,
+    ViewOptions,
+    camera_record,
+    check_count,
+    notes_of,
+)
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.figures.certify import write_certify_figure
@@ -30,7 +38,7 @@ _REPEATS = 7
 class Certify:
     """Patch by patch: the certified factor, the largest error that it and the published estimate lead to, the slack."""
 
-    scenes: tyro.conf.Positional[tuple[str, ...]]
+    scenes: Scenes
     """Files (.obj, .usd…, .glb, …: the README lists them), or walker, teapot, twisted-quad, steep-patch."""
     tiles: int = 2
     """Pieces along each side that a patch is cut into to bound it; more are tighter and slower."""
@@ -58,15 +66,18 @@ class Certify:
         inputs = {"scenes": [digest(s.patches().tobytes()) for s in scenes], "opengl": device.renderer}
         with Run("certify", arguments, self.output.out, inputs) as run:
             with progress("measuring", len(scenes)) as show:
-                found = run.each(
-                    "scene", list(range(len(scenes))), lambda k: _measure(scenes[k], views[k], self, run, k), show
-                )
+
+                def measure(k: int) -> Row:
+                    with naming(f"scene {scenes[k].name!r}"):
+                        return _measure(scenes[k], views[k], self, run, k)
+
+                found = run.each("scene", list(range(len(scenes))), measure, show)
             summary = [row for one in found for row in one["summary"]]
             rows = [row for one in found for row in one["patches"]]
             images = [[run.file(picture_name(k, name)) for name in METHODS[:2]] for k in range(len(scenes))]
             write_certify_figure(run.file("certify.png"), rows, summary, images, self.tolerance)
             names = " ".join(scene.name for scene in scenes)
-            notes = tuple(note for scene in scenes for note in scene.notes)
+            notes = notes_of(scenes)
             record = {"scene": names, "notes": notes, "summary": summary, "opengl": {"renderer": device.renderer}}
             out = run.finish(rows, record)
         broken = sum(row["sup_error_px"] > self.tolerance or row["drawn_sup_error_px"] > self.tolerance for row in rows)

@@ -9,12 +9,7 @@ from pathlib import Path
 from typing import Any
 
 BAD_INPUT = 2
-NO_CACHE = "--no-cache"
 INTERRUPTED = 130
-_DESCRIPTION = (
-    "How finely must a curved surface be tessellated? Predict it, render it, measure it."
-    f" {NO_CACHE} anywhere: compiled programs are not kept."
-)
 _WORTH_KEEPING = 0.1  # seconds of compilation
 
 
@@ -30,25 +25,19 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _run(arguments: list[str] | None) -> int:
     # Imported here, so that a package that is missing is one sentence and Ctrl-C is heard from the beginning.
-    import tyro
-
     from slefejax.errors import InputError, NoOpenGLError, OpenGLError
-    from slefejax.experiments.commands import COMMANDS, all_commands, command_of
+    from slefejax.experiments.options import option_names
+    from slefejax.experiments.parsing import NO_CACHE, parsed
 
     given = sys.argv[1:] if arguments is None else arguments
-    typed = [argument for argument in given if argument != NO_CACHE]
-    known = bool(typed) and typed[0] in COMMANDS
-    command = tyro.cli(
-        command_of(typed[0]) if known else all_commands(),
-        prog=f"slefejax {typed[0]}" if known else "slefejax",
-        description=None if known else _DESCRIPTION,
-        args=typed[known:],
-        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitSubcommandPrefixes),
-    )
+    command: Any = None
     try:
+        command = parsed([argument for argument in given if argument != NO_CACHE])
         start_jax(keep=NO_CACHE not in given)
         report: Any = command.run()
-    except (InputError, NoOpenGLError) as error:
+    except InputError as error:
+        return _fail(error.typed(() if command is None else option_names(command)))
+    except NoOpenGLError as error:
         return _fail(str(error))
     except OpenGLError as error:
         return _fail(f"{error}: the same command goes on where it was")

@@ -13,9 +13,17 @@ import tyro
 from slefejax import Factors, Scene, View, minimal_factors, sampled_error, tessellation_factors, triangle_error
 from slefejax.covering import covering_error
 from slefejax.error import drawn_error
-from slefejax.errors import InputError
+from slefejax.errors import InputError, naming
 from slefejax.experiments.minimality import error_shares
-from slefejax.experiments.options import LoadOptions, OutputOptions, cameras_around, check_count, parse_size
+from slefejax.experiments.options import (
+    LoadOptions,
+    OutputOptions,
+    Scenes,
+    cameras_around,
+    check_count,
+    notes_of,
+    parse_size,
+)
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.figures.error_image import write_error_image
@@ -58,7 +66,7 @@ PICTURES = ("certified", "slefe m=3", "filip", "edge-length 8", "screen-box 8", 
 class ErrorTime:
     """For every rule: its error at pixels and over the domain, its triangles and run time, and how far from minimal."""
 
-    scenes: tyro.conf.Positional[tuple[str, ...]]
+    scenes: Scenes
     """Files (.obj, .usd…, .glb, …: the README lists them), or walker, teapot, twisted-quad, steep-patch."""
     cameras: int = 1
     """Cameras: the scene's own, and others on a sphere around it."""
@@ -94,9 +102,9 @@ class ErrorTime:
                     scene, view, camera = views[key]
                     first = run if key == next(iter(views)) else None
                     count = f"of {len(scene.patches()):,} minimal factors"
-                    return {
-                        "rows": _View(scene, view, self, first, lambda n: show(detail=f"{n:,} {count}")).rows(camera)
-                    }
+                    with naming(f"scene {scene.name!r}"):
+                        seen = _View(scene, view, self, first, lambda n: show(detail=f"{n:,} {count}"))
+                        return {"rows": seen.rows(camera)}
 
                 found = run.each("view", list(views), measure, show)
             rows = [row for view in found for row in view["rows"]]
@@ -107,9 +115,12 @@ class ErrorTime:
             panels = [(first[name], run.file(picture_name(name))) for name in PICTURES]
             write_side_by_side(run.file("side_by_side.png"), panels, self.tolerance)
             names = " ".join(scene.name for scene in scenes)
-            out = run.finish(rows, {"scene": names, "opengl": {"renderer": device.renderer, "version": device.version}})
+            opengl = {"renderer": device.renderer, "version": device.version}
+            out = run.finish(rows, {"scene": names, "notes": notes_of(scenes), "opengl": opengl})
         title = f"{names}: rules for tessellation factors at {self.tolerance:g} px, {len(views)} views of {self.size}"
-        return Report(names, out, summary(rows), title, extra={"table": rows}, as_json=self.output.json)
+        return Report(
+            names, out, summary(rows), title, notes_of(scenes), extra={"table": rows}, as_json=self.output.json
+        )
 
 
 def picture_name(method: str) -> str:

@@ -14,8 +14,16 @@ import tyro
 
 from slefejax import Camera, Scene, View, load, sampled_error, tessellation_factors
 from slefejax.curves import curve_constant, curve_ratios
-from slefejax.errors import InputError
-from slefejax.experiments.options import LoadOptions, OutputOptions, cameras_around, check_count, parse_size
+from slefejax.errors import InputError, naming
+from slefejax.experiments.options import (
+    LoadOptions,
+    OutputOptions,
+    Scenes,
+    cameras_around,
+    check_count,
+    notes_of,
+    parse_size,
+)
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.figures.fit_km import write_fit_km
@@ -47,7 +55,7 @@ _SHOWN += ("largest_unsafe_share", "quantile_unsafe_share", "quantile_triangles"
 class FitKm:
     """Measure minimal factors of all patches in many views, and fit the constants of the published estimate to them."""
 
-    scenes: tyro.conf.Positional[tuple[str, ...]]
+    scenes: Scenes
     """Files (.obj, .usd…, .glb, …: the README lists them), or walker, teapot."""
     segments: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
     """Numbers m of pieces for which k_m is fitted."""
@@ -95,7 +103,10 @@ class FitKm:
             _write_samples(run, found)
             names = " ".join(scene.name for scene in scenes)
             more = {"curves": curves, "models": models, "worst": worst}
-            out = run.finish(rows, {"scene": names, **more, "samples": {m.name: len(m.samples) for m in found}})
+            out = run.finish(
+                rows,
+                {"scene": names, **more, "samples": {m.name: len(m.samples) for m in found}, "notes": notes_of(scenes)},
+            )
         title = (
             f"{names}: k_m for {100 * self.target:g} % of the patches at {self.tolerance:g} px, {self.cameras} views"
         )
@@ -104,8 +115,7 @@ class FitKm:
             (f"models with m = {best}, in views that they were not fitted to, factors rounded up", models),
             ("where the estimate is furthest off: ratio of what is needed to it, and its twist over m² w", worst),
         )
-        notes = tuple(note for scene in scenes for note in scene.notes)
-        return Report(names, out, rows, title, notes, more, self.output.json, more=below, shown=_SHOWN)
+        return Report(names, out, rows, title, notes_of(scenes), more, self.output.json, more=below, shown=_SHOWN)
 
     def _check(self) -> None:
         if not self.scenes or len(set(self.scenes)) < len(self.scenes):
@@ -136,7 +146,8 @@ class FitKm:
 
         def measure(key: str) -> Row:
             scene, view = views[key]
-            measured = _measured(scene, [view], self)
+            with naming(f"scene {scene.name!r}"):
+                measured = _measured(scene, [view], self)
             np.savez(run.file(_part(key)), allow_pickle=False, **measured.samples.terms, **_columns(measured))
             return {"samples": len(measured.samples)}
 

@@ -20,7 +20,7 @@ from slefejax.edges import collapsed
 from slefejax.error import drawn_error
 from slefejax.errors import InputError, NoOpenGLError
 from slefejax.experiments.minimality import slips
-from slefejax.experiments.options import LoadOptions, OutputOptions, ViewOptions, camera_record
+from slefejax.experiments.options import LoadOptions, OutputOptions, ViewOptions, camera_record, option_names
 from slefejax.experiments.outlines import outlines
 from slefejax.experiments.report import Report
 from slefejax.experiments.savings import savings
@@ -56,7 +56,7 @@ class Inspect:
         except InputError as error:
             if content is None or content.mesh is None or self.loading.drop_defects or not find_defects(content.mesh):
                 raise
-            return self._refused(content, row, str(error))
+            return self._refused(content, row, error.typed(option_names(self)))
         row |= patch_row(scene) | rig_row(scene)
         view = self.camera.view(scene)
         arguments = {**asdict(self), "output": None, "camera": camera_record(view)}

@@ -85,10 +85,14 @@ class Optimise:
             write_optimise(run.file("optimise.png"), outlines(shown, views[0]), whole, scene.control.shape, scene.name)
             out = run.finish(rows, {"scene": scene.name, "surface": surface, "seconds": seconds})
         notes = (*scene.notes, *([f"The solver stopped early: {found.reason}."] if found.reason else []))
+        notes += _stayed(found)
         title = f"{scene.name}: triangles before and after, the surface within {self.within:.3g} of the radius"
-        best = sorted(patches, key=lambda row: row["held_out_after"] - row["held_out_before"])[:_LISTED]
+        moved = [row for row, moves in zip(patches, found.moved, strict=True) if moves]
+        best = sorted(moved, key=lambda row: row["held_out_after"] - row["held_out_before"])[:_LISTED]
         more = {"surface": surface, "patches": patches, "seconds": seconds}
-        below = (("the surface", [surface]), ("patches that save the most in views that were held out", best))
+        below = (("patches that save the most in views that were held out", best),)
+        if moved:
+            below = (("the surface", [surface]), *below)
         return Report(scene.name, out, rows, title, notes, more, self.output.json, more=below)
 
     def _move(self, run: Run, scene: Scene, views: list[View], allowed: float, options: dict[str, Any]) -> Relaxed:
@@ -192,6 +196,19 @@ def _pixels(view: View, patches: np.ndarray, distance: float) -> float:
     front = screen[screen[:, 3] > 0]
     slopes = (matrix[None, :2, :3] - (front[:, :2] / front[:, 3:])[..., None] * matrix[3, :3]) / front[:, 3:, None]
     return float(distance * np.linalg.norm(slopes, axis=-1).max(initial=0.0))
+
+
+def _stayed(found: Relaxed) -> tuple[str, ...]:
+    """What did not move, and is left out of the tables in the terminal."""
+    count, still = len(found.moved), int(np.count_nonzero(~found.moved))
+    if still == count:
+        return (
+            f"none of the {count:,} patches was moved: no triangles were saved within these limits; wider ones"
+            " (--within, --turn) or more --solver-steps may find some",
+        )
+    return (f"{still:,} of {count:,} patches stayed where they are, which leaves nothing to show of them",) * (
+        still > 0
+    )
 
 
 def _patch_rows(found: Relaxed, counts: dict[str, tuple[np.ndarray, np.ndarray]]) -> list[Row]:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+import tyro
 
 from slefejax.conversion.acc import ALPHA
 from slefejax.errors import InputError
@@ -19,6 +21,9 @@ from slefejax.skinning import dual_quaternion_blend, linear_blend
 from slefejax.view import Camera, View, bounding_sphere, frame
 
 Three = tuple[float, float, float]
+Scenes = Annotated[
+    tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENE ...", help_behavior_hint="(at least one)")
+]
 
 
 @dataclass(frozen=True)
@@ -80,8 +85,8 @@ class LoadOptions:
     """How a file becomes patches."""
 
     scheme: str = "auto"
-    """acc (quads), pinched (quads and triangles), bspline (regular meshes only), catmull-clark+acc (any polygons), or
-    auto: the first of acc, pinched, catmull-clark+acc that can do with the faces."""
+    """acc (quads), pinched (quads and triangles), bspline (regular meshes only), catmull-clark+acc (any polygons); auto
+    takes the first of acc, pinched, catmull-clark+acc that can do with the faces."""
     alpha: float = ALPHA
     """Of triangles: the weight of a neighbour."""
     steps: int | None = None
@@ -201,6 +206,22 @@ class PredictionOptions:
         """What is not computed because the scene has no need of it or it was not asked for; a sentence each."""
         request = Request.of(dimension=scene.control.shape[3], **self.arguments())
         return (*scene.left_out(), *request.left_out())
+
+
+def option_names(command: Any) -> set[str]:
+    """The parameters that a command has as options, those of its groups of options too."""
+    found = set()
+    for field in fields(command):
+        value = getattr(command, field.name)
+        found |= option_names(value) if is_dataclass(value) else {field.name}
+    return found
+
+
+def notes_of(scenes: Sequence[Scene]) -> tuple[str, ...]:
+    """What was noticed when scenes were read, with their names if there are several."""
+    if len(scenes) == 1:
+        return scenes[0].notes
+    return tuple(f"{scene.name}: {note}" for scene in scenes for note in scene.notes)
 
 
 def parse_size(text: str) -> tuple[int, int]:

@@ -23,6 +23,7 @@ from slefejax.tiles import restrict_to_tiles
 TERMS = ("patches", "triangles", "shaded_pixels")
 SPLITS = (1, 2, 3, 4)  # each patch into s x s, cut less finely by as much, so that the triangles stay
 SCALES = (0.5, 1.0, 1.5, 2.0)
+CLEAR = 2.0  # standard errors that a cost must be above zero to be told apart from none
 ZOOMS = (0.5, 0.75, 1.0, 1.35)  # of the picture: the cover
 
 
@@ -53,10 +54,17 @@ class Scaling:
                 measured = run.each("case", cases, lambda case: bench.row(*settings[case]), show)
             rows, fit = fit_costs(measured)
             write_scaling(run.file("scaling.png"), measured, rows, fit["r_squared"], device.renderer)
-            record = {"scene": scene.name, "opengl": {"renderer": device.renderer}, **fit, "coefficients": rows}
+            notes = (*scene.notes, *undetermined(rows))
+            record = {
+                "scene": scene.name,
+                "notes": notes,
+                "opengl": {"renderer": device.renderer},
+                **fit,
+                "coefficients": rows,
+            }
             out = run.finish(measured, record)
         title = f"{scene.name}: cost of a frame at {self.size} on {device.renderer}, R² = {fit['r_squared']:.4f}"
-        return Report(scene.name, out, rows, title, scene.notes, {**fit, "measured": measured}, self.output.json)
+        return Report(scene.name, out, rows, title, notes, {**fit, "measured": measured}, self.output.json)
 
 
 class _Bench:
@@ -132,3 +140,17 @@ def fit_costs(measured: list[Row]) -> tuple[list[Row], dict[str, float]]:
         "largest_residual_share": float(np.max(np.abs(residual) / times)),
     }
     return rows, fit
+
+
+def undetermined(rows: list[Row]) -> tuple[str, ...]:
+    """A sentence on the costs that the measurements do not tell from zero, with their standard errors."""
+    loose = [row for row in rows if not row["us_each"] > CLEAR * row["standard_error_us"]]
+    if not loose:
+        return ()
+    costs = ", ".join(
+        f"{row['term'].replace('_', ' ')} {row['us_each']:.4g} ± {row['standard_error_us']:.3g} µs" for row in loose
+    )
+    return (
+        f"these costs are not determined, being within {CLEAR:g} standard errors of zero (a negative one is noise):"
+        f" {costs}; more --repeats on a machine that does nothing else narrow them down",
+    )

@@ -51,7 +51,7 @@ class SensitivityOfScene:
             table = np.column_stack([np.arange(len(found.places)), found.places, found.points])
             header = "point,x,y,z,triangles_per_unit_x,triangles_per_unit_y,triangles_per_unit_z"
             np.savetxt(run.file("points.csv"), table, "%.9g", ",", header=header, comments="")
-            out = run.finish(rows, {"scene": scene.name, "triangles": found.triangles})
+            out = run.finish(rows, {"scene": scene.name, "notes": scene.notes, "triangles": found.triangles})
         title = f"{scene.name}: {found.triangles:,.0f} triangles without rounding, and what changes them the most"
         extra = {"triangles": found.triangles, "radius": radius}
         return Report(scene.name, out, rows, title, scene.notes, extra, self.output.json)

@@ -11,6 +11,7 @@ import tyro
 
 from slefejax import InputError, View, screen_widths, slefe_boxes, tessellation_factors, worst_points
 from slefejax.bezier import evaluate_patch
+from slefejax.arguments import no_such
 from slefejax.experiments import reference
 from slefejax.experiments.options import OutputOptions
 from slefejax.experiments.report import Report, progress
@@ -59,7 +60,7 @@ class Stability:
         names = [family.name for family in FAMILIES]
         unknown = [name for name in self.only if name not in names]
         if unknown:
-            raise InputError(f"there is no family {unknown[0]!r}: choose among {', '.join(names)}")
+            raise InputError(no_such("family", unknown[0], names))
         found = {}
         for family in FAMILIES:
             if self.only and family.name not in self.only:

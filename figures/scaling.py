@@ -17,6 +17,7 @@ _LABELS = {"patches": "patches", "triangles": "triangles", "shaded_pixels": "sha
 def write_scaling(path: Path, measured: Rows, coefficients: Rows, r_squared: float, renderer: str) -> None:
     """Left: measured against modelled time. Then, for each term, the time less what the other terms explain."""
     cost = {row["term"]: row["us_each"] / 1e3 for row in coefficients}
+    error = {row["term"]: row["standard_error_us"] / 1e3 for row in coefficients}
     times = np.array([row["render_ms"] for row in measured])
     parts = {name: cost[name] * np.array([row[name] for row in measured]) for name in _LABELS}
     model = cost["frame"] + sum(parts.values())
@@ -37,6 +38,9 @@ def write_scaling(path: Path, measured: Rows, coefficients: Rows, r_squared: flo
             axes.plot(line, cost[name] * line, color="#d55e00", lw=2)
             axes.set_xlabel(label)
             axes.set_ylabel("ms beyond the other terms")
-            axes.set_title(f"{1e3 * cost[name]:.3g} µs each")
-        figure.suptitle(f"cost of a frame on {renderer}: fixed {cost['frame']:.2f} ms + patches + triangles + pixels")
+            axes.set_title(f"{1e3 * cost[name]:.3g} ± {1e3 * error[name]:.2g} µs each")
+        fixed = f"{cost['frame']:.2f} ± {error['frame']:.2g} ms"
+        figure.suptitle(
+            f"cost of a frame on {renderer}: fixed {fixed} + patches + triangles + pixels (± standard error)"
+        )
         save(figure, path)

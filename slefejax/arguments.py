@@ -6,7 +6,8 @@ they need is said in their docstrings and checked here. A traced argument is onl
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
+from difflib import get_close_matches
 from typing import Any
 
 import jax
@@ -21,6 +22,7 @@ Patches = Any  # control points (patches, du+1, dv+1, 3), u before v; 4 at the e
 Numbers = Any  # an array of numbers, of the shape that the docstring gives
 Number = Any  # one number
 Segments = Any  # a whole number m >= 1, or a pair (m_u, m_v)
+_LISTED = 40  # names in a sentence
 
 
 def is_whole(value: Any, lowest: int) -> bool:
@@ -31,7 +33,9 @@ def is_whole(value: Any, lowest: int) -> bool:
 def check_segments(segments: Any) -> int:
     """The number of segments, or InputError unless it is a whole number of at least 1."""
     if not is_whole(segments, 1):
-        raise InputError(f"the number of segments must be a whole number of at least 1, not {segments!r}")
+        raise InputError(
+            f"the number of segments must be a whole number of at least 1, not {segments!r}", options=("segments",)
+        )
     return int(segments)
 
 
@@ -39,7 +43,9 @@ def segment_pair(segments: Segments) -> tuple[int, int]:
     """(m_u, m_v) from one number or two, or InputError."""
     pair = tuple(segments) if isinstance(segments, (tuple, list)) else (segments, segments)
     if len(pair) != 2:
-        raise InputError(f"segments must be one number or a pair (along u, along v), not {segments!r}")
+        raise InputError(
+            f"segments must be one number or a pair (along u, along v), not {segments!r}", options=("segments",)
+        )
     return check_segments(pair[0]), check_segments(pair[1])
 
 
@@ -59,7 +65,7 @@ def check_positive(name: str, value: Number) -> None:
     except (TypeError, ValueError):
         fine = False
     if not fine:
-        raise InputError(f"{name} must be a positive number, not {value!r}")
+        raise InputError(f"{name} must be a positive number, not {value!r}", options=(name,))
 
 
 def check_not_negative(name: str, value: Number) -> None:
@@ -69,13 +75,33 @@ def check_not_negative(name: str, value: Number) -> None:
     except (TypeError, ValueError):
         fine = False
     if not fine:
-        raise InputError(f"{name} must be a number of at least 0, not {value!r}")
+        raise InputError(f"{name} must be a number of at least 0, not {value!r}", options=(name,))
 
 
-def check_choice(what: str, value: Any, choices: Iterable[str]) -> None:
+def check_choice(what: str, value: Any, choices: Collection[str]) -> None:
     """InputError unless the value is one of the names; ``what``: a method, a scheme."""
     if not isinstance(value, str) or value not in choices:
-        raise InputError(f"there is no {what} {value!r}: choose one of {', '.join(choices)}")
+        raise InputError(no_such(what, value, choices))
+
+
+def no_such(what: str, value: Any, choices: Collection[str]) -> str:
+    """The sentence about a name that is none of those that there are: the nearest of them, and a list.
+
+    >>> no_such("scheme", "pinchd", ("auto", "acc", "pinched"))
+    "there is no scheme 'pinchd' (did you mean pinched?): choose one of auto, acc, pinched"
+    """
+    names = list(choices)
+    if not names:
+        return f"there is no {what} {value!r}: there is none at all"
+    listed = ", ".join(names[:_LISTED]) + (f" and {len(names) - _LISTED} more" if len(names) > _LISTED else "")
+    return f"there is no {what} {value!r}{did_you_mean(value, names)}: choose one of {listed}"
+
+
+def did_you_mean(value: Any, choices: Iterable[str]) -> str:
+    """In brackets, behind a space, the name that was meant most likely; nothing if none is near."""
+    names = {name.lower(): name for name in choices}
+    near = get_close_matches(str(value).lower(), list(names), 1)
+    return f" (did you mean {names[near[0]]}?)" if near else ""
 
 
 def real_numbers(values: Any, what: str) -> Float[np.ndarray, "*shape"]:

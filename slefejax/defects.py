@@ -49,7 +49,10 @@ def check_manifold(mesh: Mesh) -> None:
     defects = find_defects(mesh)
     if defects:
         said = "; ".join(defect.what for defect in defects)
-        raise InputError(f"{said} (counted from 0): repair the mesh, or leave such faces out (drop_defects)")
+        raise InputError(
+            f"{said} (counted from 0): repair the mesh, or leave such faces out (drop_defects)",
+            options=("drop_defects",),
+        )
 
 
 def without_defects(mesh: Mesh) -> tuple[Mesh, tuple[str, ...]]:

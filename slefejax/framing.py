@@ -51,11 +51,11 @@ def frame_share(
     Raises InputError for a share outside 0 ... 1, or no direction that is up, or no picture.
     """
     if not 0.0 < share <= 1.0:
-        raise InputError(f"the share of the screen that is covered must lie between 0 and 1, not {share}")
+        raise InputError(f"cover, a share of the screen, must lie between 0 and 1, not {share}", options=("cover",))
     if not (0.0 < aspect < np.inf and 0.0 < fov_y < 180.0):
         raise InputError(f"a picture needs a positive width over height and a field of view, not {aspect} and {fov_y}")
     if not (np.isfinite(up).all() and np.linalg.norm(up) > 0):
-        raise InputError(f"up must be a direction, not {tuple(up)}")
+        raise InputError(f"up must be a direction, not {tuple(up)}", options=("up",))
     quads = _quads(patches)
     flat = quads.reshape(-1, 3)
     centre = (flat.min(axis=0) + flat.max(axis=0)) / 2.0

@@ -111,7 +111,9 @@ def fewer_triangles(
         raise InputError("the views must be of one size, all with perspective or all without")
     for name in ("anisotropic", "verify", "smooth"):
         if options.pop(name, None):
-            raise InputError(f"{name} has no meaning here: factors are real, and smooth while points move")
+            raise InputError(
+                f"{name} has no meaning here: factors are real, and smooth while points move", options=(name,)
+            )
     given, limits = jnp.asarray(patches), _Limits(float(within), float(turn))
     before = _per_patch(given, views, options)
     nu, nv = patches.shape[1:3]

@@ -83,10 +83,10 @@ def _check_method(method: str, dimension: int, depth_tolerance: Any, setting: An
     if method == "filip" and dimension == 4:
         raise InputError("method 'filip' bounds polynomial patches, (patches, du+1, dv+1, 3): these are rational")
     if depth_tolerance is not None and method not in ("certified", "slefe"):
-        raise InputError(f"method {method!r} knows no depth_tolerance")
+        raise InputError(f"method {method!r} knows no depth_tolerance", options=("depth_tolerance",))
     if setting is not None:
         if method not in SETTINGS:
-            raise InputError(f"method {method!r} has no setting: {', '.join(SETTINGS)} have one")
+            raise InputError(f"method {method!r} has no setting: {', '.join(SETTINGS)} have one", options=("setting",))
         check_positive("setting", setting)
 
 
@@ -95,24 +95,31 @@ def check_smooth(method: str, smooth: Any, whole: bool = False) -> None:
     if smooth is None:
         return
     if method not in ("certified", "slefe"):
-        raise InputError(f"method {method!r} knows no smooth: 'certified' and 'slefe' do")
+        raise InputError(f"method {method!r} knows no smooth: 'certified' and 'slefe' do", options=("smooth",))
     if whole:
-        raise InputError("smooth is of real factors: anisotropic and verify find whole numbers without it")
+        raise InputError(
+            "smooth is of real factors: anisotropic and verify find whole numbers without it",
+            options=("smooth", "anisotropic", "verify"),
+        )
     if isinstance(smooth, bool):
-        raise InputError("smooth is a temperature, such as 0.01, and not yes or no")
+        raise InputError("smooth is a temperature, such as 0.01, and not yes or no", options=("smooth",))
     check_positive("smooth", smooth)
     if not isinstance(smooth, Tracer) and float(smooth) > 1.0:
-        raise InputError(f"smooth is a temperature of at most 1, not {smooth}: 0.01 or less is close to the maximum")
+        raise InputError(
+            f"smooth is a temperature of at most 1, not {smooth}: 0.01 or less is close to the maximum",
+            options=("smooth",),
+        )
 
 
 def _check_numbers(method: str, asked: dict[str, bool], tiles: Any, positive: dict[str, Any]) -> None:
     for name, value in asked.items():
         if not isinstance(value, (bool, np.bool_)):
-            raise InputError(f"{name} must be True or False, not {value!r}")
+            raise InputError(f"{name} must be True or False, not {value!r}", options=(name,))
     if not is_whole(tiles, 1):
-        raise InputError(f"tiles must be a whole number of at least 1, not {tiles!r}")
+        raise InputError(f"tiles must be a whole number of at least 1, not {tiles!r}", options=("tiles",))
     if method != "certified" and any(asked.values()):
-        raise InputError(f"method {method!r} knows no {max(asked, key=asked.__getitem__)}: 'certified' does")
+        name = max(asked, key=asked.__getitem__)
+        raise InputError(f"method {method!r} knows no {name}: 'certified' does", options=(name,))
     for name, value in positive.items():
         if value is not None or name != "depth_tolerance":
             check_positive(name, value)

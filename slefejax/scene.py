@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -12,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from slefejax.arguments import Number, check_not_negative
+from slefejax.arguments import Number, check_not_negative, did_you_mean
 from slefejax.conversion.acc import ALPHA
 from slefejax.conversion.common import common_degree, common_weights
 from slefejax.conversion.nurbs import bezier_axis, spline_patches
@@ -32,7 +33,7 @@ from slefejax.data.teapot import EYE, TARGET, teapot
 from slefejax.data.walker import walker
 from slefejax.defects import check_manifold, isolated_vertices, without_defects
 from slefejax.edges import Sides
-from slefejax.errors import InputError
+from slefejax.errors import InputError, naming
 from slefejax.framing import PAPERS_SHARE, frame_share
 from slefejax.io.bpt import read_bpt, write_bpt
 from slefejax.io.bv import read_bv
@@ -216,17 +217,19 @@ def load(
     if not isinstance(path, (str, Path)) or not str(path):
         raise InputError(f"a file name or a built-in scene is needed, not {path!r}")
     if not isinstance(drop_defects, (bool, np.bool_)):
-        raise InputError(f"drop_defects must be True or False, not {drop_defects!r}")
+        raise InputError(f"drop_defects must be True or False, not {drop_defects!r}", options=("drop_defects",))
     if weld is not None:
         check_not_negative("weld", weld)
     path = Path(path)
-    content = read(path, group, animation)
-    if content.mesh is None and asked:
-        raise InputError(f"{path} holds no control mesh: {asked[0]} has no meaning for it")
-    if weld is not None and not content.patches and not content.splines:
-        raise InputError(f"{path} holds a control mesh and nothing else: weld has no meaning for it")
-    content = content if copies == 1 else with_copies(content, copies)
-    return _scene(path, content, scheme, alpha, steps, bool(drop_defects), None if weld is None else float(weld))
+    with naming(path):
+        content = read(path, group, animation)
+        if content.mesh is None and asked:
+            raise InputError(f"{path} holds no control mesh: {asked[0]} has no meaning for it", options=asked[:1])
+        if weld is not None and not content.patches and not content.splines:
+            said = f"{path} holds a control mesh and nothing else: weld has no meaning for it"
+            raise InputError(said, options=("weld",))
+        content = content if copies == 1 else with_copies(content, copies)
+        return _scene(path, content, scheme, alpha, steps, bool(drop_defects), None if weld is None else float(weld))
 
 
 def save(scene: Any, path: Any) -> None:
@@ -254,23 +257,41 @@ def save(scene: Any, path: Any) -> None:
 
 def read(path: Path, group: Any = None, animation: Any = None) -> Content:
     """What a file holds, before anything is made of it. Raises InputError as ``load`` does."""
-    reader = READERS.get(path.suffix.lower())
     if path.is_dir() and (path / "base.obj").exists():
         return read_makehuman(path, group)
     if path.suffix.lower() == ".fbx":
         raise InputError(f"{path}: FBX is not supported: export the control mesh as .obj or .usd")
-    if reader is None:
-        raise InputError(
-            f"{path}: files of this kind are not read; give a file ending in {', '.join(READERS)}"
-            f" or a built-in scene ({', '.join(BUILT_IN)})"
-        )
+    _check_name(path)
+    reader = READERS[path.suffix.lower()]
     if group is not None and reader is not read_obj:
-        raise InputError(f"{path}: group has a meaning for .obj files only")
+        raise InputError(f"{path}: group has a meaning for .obj files only", options=("group",))
     if animation is not None and reader is not read_gltf:
-        raise InputError(f"{path}: animation has a meaning for .gltf and .glb files only")
+        raise InputError(f"{path}: animation has a meaning for .gltf and .glb files only", options=("animation",))
     if group is not None:
         return read_obj(path, group)
     return reader(path) if animation is None else read_gltf(path, animation)
+
+
+def _check_name(path: Path) -> None:
+    """InputError for a kind of file that is not read, and for a name beside one that is there."""
+    meant = "" if os.path.lexists(path) else did_you_mean(path.name, _names_beside(path))
+    if path.suffix.lower() not in READERS:
+        missing = f"there is no file {path}{meant}, and" if meant else f"{path}:"
+        raise InputError(
+            f"{missing} files of this kind are not read; give a file ending in {', '.join(READERS)}"
+            f" or a built-in scene ({', '.join(BUILT_IN)})"
+        )
+    if meant:
+        raise InputError(f"there is no file {path}{meant}: check the name")
+
+
+def _names_beside(path: Path) -> list[str]:
+    """Names of scenes that a name could be a slip of: files in its folder, and what is built in."""
+    try:
+        beside = os.listdir(path.parent)
+    except (OSError, ValueError):  # a name may hold what no name can
+        beside = []
+    return [*BUILT_IN, *(name for name in beside if Path(name).suffix.lower() in READERS)]
 
 
 @dataclass(frozen=True)
@@ -293,7 +314,7 @@ def _scene(
 ) -> Scene:
     notes, parts, conversion = content.notes, [], None
     if content.mesh is not None:
-        conversion, found = _converted(path, content.mesh, scheme, alpha, steps, drop_defects)
+        conversion, found = _converted(content.mesh, scheme, alpha, steps, drop_defects)
         notes += found
         work = conversion.patchwork
         parts.append(
@@ -323,20 +344,17 @@ def _scene(
 
 
 def _converted(
-    path: Path, mesh: Mesh, scheme: str, alpha: float, steps: int | None, drop_defects: bool
+    mesh: Mesh, scheme: str, alpha: float, steps: int | None, drop_defects: bool
 ) -> tuple[Conversion, tuple[str, ...]]:
     notes: tuple[str, ...] = ()
-    try:
-        if drop_defects:
-            mesh, notes = without_defects(mesh)
-        else:
-            check_manifold(mesh)
-        isolated = isolated_vertices(mesh)
-        if isolated.size:
-            notes += (f"{isolated.size} vertices belong to no face (the first is {isolated[0]}, counted from 0)",)
-        conversion = convert(mesh, scheme, alpha, steps)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+    if drop_defects:
+        mesh, notes = without_defects(mesh)
+    else:
+        check_manifold(mesh)
+    isolated = isolated_vertices(mesh)
+    if isolated.size:
+        notes += (f"{isolated.size} vertices belong to no face (the first is {isolated[0]}, counted from 0)",)
+    conversion = convert(mesh, scheme, alpha, steps)
     return conversion, notes + conversion.notes
 
 
@@ -350,7 +368,7 @@ def _spline_part(spline: Spline, number: int) -> _Part:
             bezier_axis(spline.knots[k], spline.degrees[k], spline.control.shape[k], spline.bounds[k]) for k in (0, 1)
         ]
     except InputError as error:
-        raise InputError(f"{spline.name}: {error}") from None
+        raise error.within(spline.name) from None
     work = spline_patches(spline.control, (axes[0], axes[1]), number)
     flat = spline.control.reshape(-1, spline.control.shape[2])
     return _Part(list(work.on_host(flat)), work.faces, work.kinds)
@@ -363,10 +381,11 @@ def _built_in(name: str, scheme: str, alpha: float, steps: int | None, copies: i
     ]
     if meaningless:
         what = "a list of patches, no control mesh" if isinstance(made, Scene) else "built in"
-        raise InputError(f"{name} is {what}: {meaningless[0]} has no meaning for it")
+        raise InputError(f"{name} is {what}: {meaningless[0]} has no meaning for it", options=meaningless[:1])
     if isinstance(made, Scene):
         return made
-    return _scene(Path(name), with_copies(made, copies), scheme, alpha, steps, False)
+    with naming(name):
+        return _scene(Path(name), with_copies(made, copies), scheme, alpha, steps, False)
 
 
 def _teapot() -> Scene:

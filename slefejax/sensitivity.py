@@ -63,7 +63,7 @@ def sensitivity(
         raise InputError(f"the view must be a slefejax.View (a camera and a picture size), not {type(view).__name__}")
     for name in ("anisotropic", "verify"):
         if options.pop(name, False):
-            raise InputError(f"{name} finds whole numbers, which have no derivatives: leave it out")
+            raise InputError(f"{name} finds whole numbers, which have no derivatives: leave it out", options=(name,))
     if pose is not None and scene.rig is None:
         raise InputError(f"{scene.name} does not move: it has no pose but the one at rest")
     tolerance = options.pop("tolerance", 0.5)

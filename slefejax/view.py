@@ -46,10 +46,10 @@ def _vector(values: Vector) -> Any:
     return xp.asarray(values) * 1.0 if xp is jnp else real_numbers(values, "eye, target and up")
 
 
-def _check(condition: Any, message: str) -> None:
+def _check(condition: Any, message: str, *options: str) -> None:
     """Raise unless the condition is known and holds; a traced condition cannot be looked at."""
     if not isinstance(condition, Tracer) and not bool(condition):
-        raise InputError(message)
+        raise InputError(message, options=options)
 
 
 @jax.tree_util.register_dataclass
@@ -88,10 +88,9 @@ class Camera:
         >>> Camera.look_at((0, -5, 0), (0, 0, 0)).perspective
         True
         """
-        _check(
-            (0.0 < _scalar(fov_y)) & (_scalar(fov_y) < 180.0), f"fov_y must lie between 0 and 180 degrees, not {fov_y}"
-        )
-        _check(_scalar(near) > 0.0, f"near must be positive for a perspective camera, not {near}")
+        inside = (0.0 < _scalar(fov_y)) & (_scalar(fov_y) < 180.0)
+        _check(inside, f"fov_y must lie between 0 and 180 degrees, not {fov_y}", "fov_y")
+        _check(_scalar(near) > 0.0, f"near must be positive for a perspective camera, not {near}", "near")
         return Camera._checked(eye, target, up, fov_y, near, far, True)
 
     @staticmethod
@@ -116,17 +115,21 @@ class Camera:
         for name in ("eye", "target", "up"):
             vector = getattr(camera, name)
             if vector.shape != (3,):
-                raise InputError(f"the camera's {name} must be three numbers, not an array of shape {vector.shape}")
+                raise InputError(
+                    f"the camera's {name} must be three numbers, not an array of shape {vector.shape}", options=(name,)
+                )
             if xp is np:
                 largest = np.max(np.abs(vector))
-                _check(largest < LARGEST, f"the camera's {name} must be finite, and below {LARGEST:g}, not {vector}")
-        _check(_scalar(far) > _scalar(near), f"far ({far}) must be beyond near ({near})")
+                said = f"the camera's {name} must be finite, and below {LARGEST:g}, not {vector}"
+                _check(largest < LARGEST, said, name)
+        _check(_scalar(far) > _scalar(near), f"far ({far}) must be beyond near ({near})", "far", "near")
         for name, value in (("near", near), ("far", far), ("extent", extent)):
             if not isinstance(value, Tracer):  # in float32 the limit would overflow
-                _check(np.abs(_scalar(value)) < LARGEST, f"the camera's {name} must be finite, not {value}")
+                _check(np.abs(_scalar(value)) < LARGEST, f"the camera's {name} must be finite, not {value}", name)
         if xp is np:
             side = np.cross(_of_size_one(camera.target - camera.eye), _of_size_one(camera.up))
-            _check(np.any(side), "the camera's eye and target coincide, or the view direction is parallel to up")
+            said = "the camera's eye and target coincide, or the view direction is parallel to up"
+            _check(np.any(side), said, "eye", "target", "up")
         return camera
 
     @property

@@ -73,7 +73,7 @@ def convert(mesh: Mesh, scheme: str = "auto", alpha: Any = ALPHA, steps: Any = N
     _check(scheme, alpha, steps)
     chosen = _automatic(mesh) if scheme == "auto" else scheme
     if steps is not None and chosen != "catmull-clark+acc":
-        raise InputError(f"steps belong to the scheme 'catmull-clark+acc', not to {chosen!r}")
+        raise InputError(f"steps belong to the scheme 'catmull-clark+acc', not to {chosen!r}", options=("steps",))
     _check_faces(mesh, chosen)
     if chosen == "catmull-clark+acc" and len(mesh.corners) * 4 ** ((steps or 1) - 1) > _MOST_PATCHES:
         made = len(mesh.corners) * 4 ** ((steps or 1) - 1)
@@ -97,7 +97,7 @@ def _check(scheme: str, alpha: Any, steps: Any) -> None:
     check_choice("scheme", scheme, SCHEMES)
     check_positive("alpha", alpha)
     if steps is not None and not (is_whole(steps, 1) and steps <= _MOST_STEPS):
-        raise InputError(f"steps must be a whole number from 1 to {_MOST_STEPS}, not {steps!r}")
+        raise InputError(f"steps must be a whole number from 1 to {_MOST_STEPS}, not {steps!r}", options=("steps",))
 
 
 def _automatic(mesh: Mesh) -> str:
