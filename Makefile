@@ -9,12 +9,15 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --co
 .PHONY: demo test slow lint clean
 
 demo: $(VENV)/opengl
+	@echo "The minimality sweep of the teapot: half a minute; its table is shown here, pictures go under runs/" >&2
 	$(BIN)/slefejax minimality teapot
 
 test: $(VENV)/opengl $(VENV)/test
+	@echo "The tests: some minutes on two cores; a dot is a test that passed, the last line says what it came to" >&2
 	SLEFEJAX_REQUIRE_OPENGL=1 $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 
 slow: $(VENV)/opengl $(VENV)/test
+	@echo "The longer checks: an hour or more; a dot is a test that passed, the last line says what it came to" >&2
 	$(BIN)/python -m pytest -m slow
 
 lint: $(VENV)/test $(VENV)/lint

@@ -13,8 +13,8 @@ import numpy as np
 import tyro
 
 from slefejax import layout
-from slefejax.errors import InputError
 from slefejax.arguments import no_such
+from slefejax.errors import InputError
 from slefejax.experiments.bench_process import PRECISIONS, Worker, the_device
 from slefejax.experiments.bench_stages import DOUBLE, ONCE, STAGES
 from slefejax.experiments.options import OutputOptions

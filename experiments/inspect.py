@@ -32,6 +32,8 @@ from slefejax.mesh import Mesh
 from slefejax.scene import BUILT_IN, read
 from slefejax.tessellator import HIGHEST_LEVEL, triangle_counts
 
+_SAY_UP = (".usd", ".usda", ".usdc", ".usdz", ".gltf", ".glb", ".json", ".3dm")
+
 
 @dataclass(frozen=True)
 class Inspect:
@@ -57,7 +59,7 @@ class Inspect:
             if content is None or content.mesh is None or self.loading.drop_defects or not find_defects(content.mesh):
                 raise
             return self._refused(content, row, error.typed(option_names(self)))
-        row |= patch_row(scene) | rig_row(scene)
+        row |= patch_row(scene) | rig_row(scene) | {"up": _up(scene, Path(self.scene))}
         view = self.camera.view(scene)
         arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
         with Run("inspect", arguments, self.output.out, {"scene": digest(scene.patches().tobytes())}) as run:
@@ -141,6 +143,18 @@ def patch_row(scene: Scene) -> Row:
             "tables_ms": tables_ms,
         }
     return row
+
+
+def _up(scene: Scene, path: Path) -> str:
+    """The direction that is up, and who says so: nothing is guessed from the shape."""
+    named = {(0.0, 1.0, 0.0): "y", (0.0, 0.0, 1.0): "z"}
+    up = named.get(tuple(map(float, scene.up)), " ".join(f"{x:g}" for x in scene.up))
+    if str(path) in BUILT_IN:
+        return up
+    suffix = path.suffix.lower()
+    if suffix in _SAY_UP:
+        return f"{up}, as {suffix} files say or define it"
+    return f"{up}, by custom: {suffix or 'such'} files do not say (--up for another)"
 
 
 def _unshared(row: Row) -> tuple[str, ...]:

@@ -161,7 +161,7 @@ def _shown(name: str, value: Any) -> str:
     if "share" in name:
         return f"{100 * value:.2f} %"
     if name.endswith("_error") and isinstance(value, float):
-        return f"{value:.1e}"
+        return f"{value:.1e}" if value else "0"
     if isinstance(value, float):
         return f"{value:.9g}" if name == "scale" else f"{value:.4g}" if "us" in name.split("_") else f"{value:.3f}"
     if isinstance(value, int) and not isinstance(value, bool):

@@ -151,6 +151,6 @@ def undetermined(rows: list[Row]) -> tuple[str, ...]:
         f"{row['term'].replace('_', ' ')} {row['us_each']:.4g} ± {row['standard_error_us']:.3g} µs" for row in loose
     )
     return (
-        f"these costs are not determined, being within {CLEAR:g} standard errors of zero (a negative one is noise):"
-        f" {costs}; more --repeats on a machine that does nothing else narrow them down",
+        f"these costs are not determined, being less than {CLEAR:g} standard errors above zero (a negative one is"
+        f" noise): {costs}; more --repeats on a machine that does nothing else narrow them down",
     )

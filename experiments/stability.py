@@ -10,8 +10,8 @@ import numpy as np
 import tyro
 
 from slefejax import InputError, View, screen_widths, slefe_boxes, tessellation_factors, worst_points
-from slefejax.bezier import evaluate_patch
 from slefejax.arguments import no_such
+from slefejax.bezier import evaluate_patch
 from slefejax.experiments import reference
 from slefejax.experiments.options import OutputOptions
 from slefejax.experiments.report import Report, progress
@@ -66,7 +66,9 @@ class Stability:
             if self.only and family.name not in self.only:
                 continue
             values = family.values
-            for value in {values[0], values[len(values) // 2], values[-1]} if self.quick else values:
+            if self.quick:
+                values = tuple(dict.fromkeys((values[0], values[len(values) // 2], values[-1])))
+            for value in values:
                 found |= {f"{family.name}, {value:g}, {name}": (family, value, name) for name in PRECISIONS}
         return found
 

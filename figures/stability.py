@@ -18,6 +18,7 @@ _STYLES: dict[str, dict[str, Any]] = {
     "double": {"color": "#0072b2", "marker": "s"},
 }
 _LEAST, _MOST = 1e-17, 10.0
+_ZERO = 1e-18  # where an error of exactly 0 is marked, below the axis of the others
 _COLUMNS = 4
 
 
@@ -33,20 +34,14 @@ def write_stability_figure(path: Path, rows: Rows) -> None:
         for axes in panels[len(names) :]:
             axes.set_axis_off()
         handles, labels = panels[0].get_legend_handles_labels()
-        marks = [
-            Line2D([], [], color="black", marker="X", linestyle="", markersize=10),
-            Line2D([], [], color="black", linestyle=":"),
-        ]
-        figure.legend(
-            [*handles, *marks],
-            [
-                *labels,
-                "leaves its enclosure, misses its certificate, refused or not finite",
-                "certified factor's excess",
-            ],
-            loc="outside upper center",
-            ncols=4,
-        )
+        marks = {
+            "exactly 0": Line2D([], [], color="0.3", marker="o", markerfacecolor="white", linestyle=""),
+            "leaves its enclosure, misses its certificate, refused or not finite": Line2D(
+                [], [], color="black", marker="X", linestyle="", markersize=10
+            ),
+            "certified factor's excess": Line2D([], [], color="black", linestyle=":"),
+        }
+        figure.legend([*handles, *marks.values()], [*labels, *marks], loc="outside upper center", ncols=5)
         save(figure, path)
 
 
@@ -56,8 +51,11 @@ def _panel(axes: Axes, name: str, rows: Rows) -> None:
     for precision, style in _STYLES.items():
         own = [row for row in rows if row["precision"] == precision]
         at = [place[row["value"]] for row in own]
-        error = np.clip([row["factor_error"] for row in own], _LEAST, _MOST)
+        exact = np.array([row["factor_error"] for row in own])
+        error = np.where(exact == 0, np.nan, np.clip(exact, _LEAST, _MOST))
         axes.plot(at, error, label=f"{precision} precision", **style)
+        zero = np.flatnonzero(exact == 0)
+        axes.plot(np.take(at, zero), np.full(len(zero), _ZERO), linestyle="", markerfacecolor="white", **style)
         excess = np.clip(np.array([row["certified_over_double"] for row in own]) - 1.0, _LEAST, _MOST)
         if precision == "single":
             axes.plot(at, np.where(excess > _LEAST, excess, np.nan), linestyle=":", color=style["color"])
@@ -66,10 +64,15 @@ def _panel(axes: Axes, name: str, rows: Rows) -> None:
             for k, row in enumerate(own)
             if row["containment_violations"] or row["certificate_violations"] or row["nonfinite"] or row["refused"]
         ]
-        axes.plot([at[k] for k in bad], error[bad], "X", color="black", markersize=10)
+        shown = np.where(exact == 0, _ZERO, np.where(np.isnan(exact), _MOST, error))
+        axes.plot([at[k] for k in bad], shown[bad], "X", color="black", markersize=10)
     axes.axhline(0.01, color="0.7", linewidth=1)
     axes.set_yscale("log")
-    axes.set_ylim(_LEAST / 3, _MOST * 3)
+    axes.set_ylim(_ZERO / 4, _MOST * 3)
+    axes.axhspan(_ZERO / 4, _LEAST / 2, color="0.93", zorder=0)
+    powers = range(-16, 1, 4)
+    axes.set_yticks([_ZERO, *(10.0**k for k in powers)], ["0", *(f"$10^{{{k}}}$" for k in powers)])
+    axes.minorticks_off()
     axes.set_xticks(range(len(values)), [f"{value:.8g}" for value in values], rotation=40, fontsize=9)
     axes.set_title(name)
     axes.set_xlabel(rows[0]["parameter"], fontsize=10)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NoReturn
 
 import moderngl
 import numpy as np
@@ -108,6 +108,12 @@ class Renderer:
         self._numbers: Any = None
         self._room = 0
         self._make_room(self._count)
+
+    def __reduce__(self) -> NoReturn:
+        raise TypeError(
+            "a Renderer cannot be pickled or copied: what it holds lies on the OpenGL device of its own thread; make"
+            " another one of the same patches"
+        )
 
     def move(self, patches: Patches) -> None:
         """Other control points for the same patches. Raises InputError if there are more or fewer of them."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from typing import Any
 
 import jax
@@ -106,7 +106,7 @@ class Factors:
         """The same with every factor multiplied by ``scale`` > 0, to see whether less would do."""
         check_positive("a scale", scale)
         own = self.certify
-        certify = None if own is None else lambda: own().scaled(scale)
+        certify = None if own is None else partial(_scaled, own, scale)
         pairs = None if self.pairs is None else np.ceil(self.pairs * scale).astype(np.int64)
         return replace(self, factor=self.factor * scale, pairs=pairs, certify=certify)
 
@@ -240,14 +240,35 @@ def factors_of(
         nets = Nets.of(np.asarray(patches()), Projection.of(view), (request.numbers[0], request.numbers[1]))
         factor = verified_factors(np.asarray(factor), nets)
         proof = partial(drawn_grids_hold, nets, request.pattern)
-
-    @cache
-    def certify() -> Certificate:
-        concrete = projection.relative(layout.unpack_on_host(packed, count), axis=-1)
-        return Certificate(concrete, projection, (scales[0], scales[1]), request.fineness, request.pattern, proof)
-
+    tolerances = (scales[0], scales[1])
+    certify = _Certify(packed, count, projection, tolerances, request.fineness, request.pattern, proof)
     pairs = certify().pairs() if request.anisotropic else None
     return Factors(factor, patches() if edge_numbers is None else None, edge_numbers, pairs, certify)
+
+
+@dataclass(frozen=True, eq=False)
+class _Certify:
+    """Makes the certificate of some factors, once, when it is asked for; it can be pickled."""
+
+    packed: Any
+    count: int
+    projection: Projection
+    tolerances: tuple[Any, Any]
+    fineness: Any
+    pattern: Pattern
+    proof: Any
+
+    def __call__(self) -> Certificate:
+        return self._certificate
+
+    @cached_property
+    def _certificate(self) -> Certificate:
+        concrete = self.projection.relative(layout.unpack_on_host(self.packed, self.count), axis=-1)
+        return Certificate(concrete, self.projection, self.tolerances, self.fineness, self.pattern, self.proof)
+
+
+def _scaled(certify: Callable[[], Certificate], scale: float) -> Certificate:
+    return certify().scaled(scale)
 
 
 @layout.as_pass(3, 4)

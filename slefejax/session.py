@@ -91,11 +91,32 @@ class Session:
         self._tables = self._make_tables()
         self._pose_pass = jax.jit(self._move)
         self.recomputed, self.seconds = (), dict.fromkeys(PARTS, 0.0)
+        self._forget()
+
+    def _forget(self) -> None:
+        """Nothing has been computed yet."""
         self._at: _Snapshot | None = None
         self._packed: Any = None
         self._boxes: Boxes | None = None
         self._patches: np.ndarray | None = None
         self._seen: tuple[_Snapshot, Factors] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For pickle and copy: what was computed, without what is compiled or made of the scene.
+
+        A ``deform`` of one's own has to be a function that pickle finds by its name, no lambda.
+        """
+        return {name: value for name, value in vars(self).items() if name not in ("_pose_pass", "_tables")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Where JAX has another precision than where the session comes from, everything is computed anew."""
+        vars(self).update(state)
+        dtype = jax.dtypes.canonicalize_dtype(self._dtype)
+        if dtype != self._dtype:
+            self._dtype, self._origin = dtype, self._origin.astype(dtype)
+            self._forget()
+        self._tables = self._make_tables()
+        self._pose_pass = jax.jit(self._move)
 
     @property
     def moves(self) -> bool:

@@ -14,6 +14,11 @@ import pytest
 from hypothesis import HealthCheck, settings
 from jaxtyping import install_import_hook
 
+from tests.closing import pytest_deselected, pytest_sessionfinish, pytest_testnodedown, pytest_unconfigure
+
+# Hooks that print a line in words at the end of a run; pytest finds them here by their names.
+__all__ = ["pytest_deselected", "pytest_sessionfinish", "pytest_testnodedown", "pytest_unconfigure"]
+
 jax.config.update("jax_enable_x64", True)
 
 # Commands that tests start as processes of their own, and tests that run beside, find what was compiled before them.

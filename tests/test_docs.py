@@ -1,20 +1,27 @@
-"""Examples in docstrings and in the README do what they say."""
+"""Examples in docstrings, in the README and in docs/ do what they say."""
 
 from __future__ import annotations
 
 import doctest
 import json
 import re
+import shlex
 import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from slefejax.experiments.parsing import parsed
+from tests.meshes import cube
+from tests.test_gltf import figure, save
 from tests.test_imports import modules
 
 ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+LANGUAGES = {"", "python", "json"}
 WITH_EXAMPLES = sorted(name for name, path in modules().items() if ">>>" in path.read_text())
 
 
@@ -44,3 +51,85 @@ def test_scripts_of_the_readme(device, tmp_path):
     assert shown[5].startswith("(32, 4, 4, 3) ")
     assert 9_900 <= int(shown[5].split()[4]) <= 10_000, "of a budget of 10,000"
     assert shown[6].startswith("20178 15994 0.499")
+
+
+def blocks(language):
+    """(page and line, text) of every block of code of a language."""
+    found = []
+    for page in PAGES:
+        text = page.read_text()
+        for match in re.finditer(r"^```(\w*)\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE):
+            assert match[1] in LANGUAGES, f"{page.name}: who runs blocks of {match[1]!r}?"
+            if match[1] == language:
+                found.append((f"{page.name}:{text.count(chr(10), 0, match.start()) + 1}", match[2]))
+    return found
+
+
+def commands():
+    """(page and line, words) of every command that a block shows, as it is typed."""
+    found = []
+    for place, text in blocks(""):
+        page, first = place.split(":")
+        for number, line in enumerate(text.splitlines(), int(first) + 1):
+            if re.match(r"(\$ )?slefejax ", line):
+                found.append((f"{page}:{number}", shlex.split(line.removeprefix("$ "), comments=True)[1:]))
+    return found
+
+
+def mentioned():
+    """(page, words) of every command that the text names, with words that can be typed: no SCENE, no a|b."""
+    found = []
+    for page in PAGES:
+        for text in re.findall(r"`slefejax ([^`]*)`", page.read_text().replace("\n", " ")):
+            found.append((page.name, shlex.split(text.replace("…", ""))))
+    return found
+
+
+PYTHON, COMMANDS = blocks("python"), commands()
+
+
+def test_blocks_are_found():
+    assert len(PYTHON) >= 8
+    assert len(COMMANDS) >= 10
+    for place, text in blocks(""):
+        assert "import slefejax" not in text, f"{place}: call this block python, so that it is run"
+    for place, text in blocks("json"):
+        assert json.loads(text), place
+
+
+@pytest.mark.parametrize("place", sorted({page for page, _ in mentioned()}))
+def test_commands_of_the_text_can_be_typed(place):
+    """Not run, but understood: no option is misspelt or gone."""
+    for _, words in (own for own in mentioned() if own[0] == place):
+        bare = len(words) == 1 and words[0] not in ("bench", "doctor", "stability", "attack", "tightness")
+        parsed([*words, "teapot"] if bare else words)
+
+
+@pytest.mark.slow
+@pytest.mark.gl
+@pytest.mark.parametrize(("place", "text"), PYTHON, ids=[place for place, _ in PYTHON])
+def test_python_of_the_docs(device, tmp_path, place, text):
+    """Every block by itself: a process of its own, JAX as it comes, warnings as errors."""
+    (tmp_path / "block.py").write_text(text)
+    command = [sys.executable, "-W", "error", "block.py"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-3000:]
+
+
+@pytest.mark.slow
+@pytest.mark.gl
+@pytest.mark.parametrize(("place", "words"), COMMANDS, ids=[place for place, _ in COMMANDS])
+def test_commands_of_the_docs(device, tmp_path, place, words):
+    """As they are typed, in a folder where the user's own files lie."""
+    mesh = cube()
+    lines = ["v " + " ".join(map(repr, vertex)) for vertex in mesh.vertices.tolist()]
+    lines += ["f " + " ".join(str(corner + 1) for corner in face) for face in mesh.corners.reshape(-1, 4).tolist()]
+    (tmp_path / "spot_control_mesh.obj").write_text("\n".join(lines) + "\n")
+    _, content = figure(np.random.default_rng(1))
+    content["animations"][0]["name"] = "Walk"
+    save(tmp_path, content, "fox.glb")
+    command = [sys.executable, "-m", "slefejax.experiments.cli", *words]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert "Traceback" not in done.stderr
+    assert done.stdout

@@ -31,7 +31,7 @@ class Conversion:
     scheme    : one of SCHEMES, not ``"auto"``
     finer     : the mesh that patches are made of: ``mesh``, or what subdivision made of it
     patchwork : from the vertices of ``mesh`` to patches; ``.faces`` are those of ``mesh``
-    notes     : sentences on what the conversion leaves out
+    notes     : sentences on what the conversion leaves out, and on what it costs that nobody asked for
     """
 
     mesh: Mesh
@@ -83,7 +83,8 @@ def convert(mesh: Mesh, scheme: str = "auto", alpha: Any = ALPHA, steps: Any = N
         finer, table, parents = _one_more(finer, table, parents)
     own = acc_patches(finer, float(alpha))
     patchwork = replace(own, faces=parents, first=table)
-    return Conversion(mesh, chosen, finer, patchwork, _left_out(finer, alpha))
+    notes = _price_of_ngons(mesh, steps) if scheme == "auto" else ()
+    return Conversion(mesh, chosen, finer, patchwork, notes + _left_out(finer, alpha))
 
 
 def _one_more(
@@ -136,6 +137,18 @@ def _check_regular(mesh: Mesh) -> None:
             f"scheme 'bspline' is for regular meshes, and vertex {vertex} (counted from 0) has {faces[vertex]} faces"
             f" ({irregular.size} such vertices): choose 'acc'"
         )
+
+
+def _price_of_ngons(mesh: Mesh, steps: int | None) -> tuple[str, ...]:
+    """What a few faces of more than four vertices cost, where nobody asked for a step of subdivision."""
+    count = int(np.sum(mesh.sizes > 4))
+    if not count or steps is not None:
+        return ()
+    faces = "1 face" if count == 1 else f"{count:,} faces"
+    return (
+        f"{faces} of more than four vertices (n-gons) among {mesh.face_count:,} made a step of subdivision of the whole"
+        f" mesh necessary: {len(mesh.corners):,} patches; cut into quads and triangles, every face would be one patch",
+    )
 
 
 def _left_out(finer: Mesh, alpha: float) -> tuple[str, ...]:
