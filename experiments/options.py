@@ -209,11 +209,11 @@ class PredictionOptions:
 
 
 def option_names(command: Any) -> set[str]:
-    """The parameters that a command has as options, those of its groups of options too."""
+    """The parameters that a command, or its class, has as options, those of its groups of options too."""
     found = set()
     for field in fields(command):
-        value = getattr(command, field.name)
-        found |= option_names(value) if is_dataclass(value) else {field.name}
+        group = field.default_factory
+        found |= option_names(group) if is_dataclass(group) else {field.name}
     return found
 
 

@@ -69,7 +69,7 @@ class Stability:
             if self.quick:
                 values = tuple(dict.fromkeys((values[0], values[len(values) // 2], values[-1])))
             for value in values:
-                found |= {f"{family.name}, {value:g}, {name}": (family, value, name) for name in PRECISIONS}
+                found |= {f"{family.name}, {value!r}, {name}": (family, value, name) for name in PRECISIONS}
         return found
 
 
