@@ -19,6 +19,7 @@ _STYLES: dict[str, dict[str, Any]] = {
 }
 _LEAST, _MOST = 1e-17, 10.0
 _ZERO = 1e-18  # where an error of exactly 0 is marked, below the axis of the others
+_ZERO_SIZES = {"single": 10, "double": 5}  # one lies within the other where both are 0
 _COLUMNS = 4
 
 
@@ -40,8 +41,9 @@ def write_stability_figure(path: Path, rows: Rows) -> None:
                 [], [], color="black", marker="X", linestyle="", markersize=10
             ),
             "certified factor's excess": Line2D([], [], color="black", linestyle=":"),
+            "1 %": Line2D([], [], color="0.7", linewidth=1),
         }
-        figure.legend([*handles, *marks.values()], [*labels, *marks], loc="outside upper center", ncols=5)
+        figure.legend([*handles, *marks.values()], [*labels, *marks], loc="outside upper center", ncols=6)
         save(figure, path)
 
 
@@ -55,7 +57,9 @@ def _panel(axes: Axes, name: str, rows: Rows) -> None:
         error = np.where(exact == 0, np.nan, np.clip(exact, _LEAST, _MOST))
         axes.plot(at, error, label=f"{precision} precision", **style)
         zero = np.flatnonzero(exact == 0)
-        axes.plot(np.take(at, zero), np.full(len(zero), _ZERO), linestyle="", markerfacecolor="white", **style)
+        size = _ZERO_SIZES[precision]
+        level = np.full(len(zero), _ZERO)
+        axes.plot(np.take(at, zero), level, linestyle="", markerfacecolor="white", markersize=size, **style)
         excess = np.clip(np.array([row["certified_over_double"] for row in own]) - 1.0, _LEAST, _MOST)
         if precision == "single":
             axes.plot(at, np.where(excess > _LEAST, excess, np.nan), linestyle=":", color=style["color"])
