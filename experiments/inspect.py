@@ -27,7 +27,7 @@ from slefejax.experiments.savings import savings
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.figures.inspect import Panels, write_inspect_figure
 from slefejax.gpu import Renderer, open_device
-from slefejax.io.content import Content
+from slefejax.io.content import Y_UP, Z_UP, Content
 from slefejax.mesh import Mesh
 from slefejax.scene import BUILT_IN, read
 from slefejax.tessellator import HIGHEST_LEVEL, triangle_counts
@@ -147,8 +147,7 @@ def patch_row(scene: Scene) -> Row:
 
 def _up(scene: Scene, path: Path) -> str:
     """The direction that is up, and who says so: nothing is guessed from the shape."""
-    named = {(0.0, 1.0, 0.0): "y", (0.0, 0.0, 1.0): "z"}
-    up = named.get(tuple(map(float, scene.up)), " ".join(f"{x:g}" for x in scene.up))
+    up = {Y_UP: "y", Z_UP: "z"}.get(scene.up, " ".join(f"{x:g}" for x in scene.up))
     if str(path) in BUILT_IN:
         return up
     suffix = path.suffix.lower()
