@@ -256,7 +256,7 @@ BAD_PATCH = "1\n1 1\n0 0 0\n0 nan 0\n1 0 0\n1 1 0\n"
         (["teapot", "--tolerance", "-1"], "tolerance must be a positive number"),
         (["teapot", "--k", "nan"], "k must be a positive number"),
         (["teapot", "--size", "1440"], "--size must be WIDTHxHEIGHT"),
-        (["teapot", "--fov", "180"], "fov_y must lie between"),
+        (["teapot", "--fov", "180"], "--fov must lie between"),
         (["teapot", "--eye", "0", "0", "1.2"], "coincide"),
         (["teapot", "--eye", "0", "0", "1e200"], "below 1e+100"),
         (["teapot", "--method", "magic"], "no method 'magic'"),
