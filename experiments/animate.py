@@ -104,7 +104,7 @@ def _views(path: ViewPath, frames: Frames) -> list[View]:
         try:
             views.append(path(share))
         except InputError as error:
-            raise error.within(f"--camera-path, frame {frame}") from None
+            raise InputError(f"--camera-path, frame {frame}: {error}") from None  # whose columns are no options
     return views
 
 

@@ -128,6 +128,7 @@ def test_every_wrong_argument(name):
 
 
 # a budget is met by many calls of another of these functions
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [n for n, (_, good) in CALLS.items() if "patches" in good and n != "tolerance_for_budget"]
 )

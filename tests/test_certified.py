@@ -100,6 +100,7 @@ def drawn_violations(seed, count, device, anisotropic=False):
     return int(np.count_nonzero(drawable & (factors.levels > 0))), broken
 
 
+@pytest.mark.slow
 @pytest.mark.gl
 @pytest.mark.parametrize("seed", [25, 30])
 def test_drawn_triangles_of_hostile_patches_hold(device, seed):
@@ -324,6 +325,7 @@ def test_forward_mode_and_second_derivatives(rng, main_view):
     assert bend == pytest.approx(float(slope(1e-3 + h) - slope(1e-3 - h)) / (2 * h), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_traced_tolerances(teapot, main_view):
     """What cannot be refused inside of jit is not a number; it is not 0, which stands for unseen."""
     factors = jax.jit(lambda t: tessellation_factors(teapot.patches(), main_view, tolerance=t).factor)

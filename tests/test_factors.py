@@ -90,6 +90,7 @@ def test_against_plain_loops_on_the_teapot(teapot, main_view, m, precision):
     np.testing.assert_allclose(factor, wanted, rtol=rounding(precision))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degrees", [(1, 2), (2, 3), (5, 4)])
 def test_against_plain_loops_at_the_border_of_the_screen(degrees, rng, precision):
     view = View(Camera.look_at((0, -4, 0), (0, 0, 0)), 300, 200)
@@ -196,6 +197,7 @@ def test_float32_in_float32_out(teapot, main_view):
     np.testing.assert_allclose(single, double, rtol=1e-3)  # SPEED.md: cancellation costs up to 6e-4
 
 
+@pytest.mark.slow
 def test_gradient_by_points_camera_tolerance_and_k(teapot, main_view, rng):
     # the teapot's symmetries are ties of second differences with 0: shake them off
     patches = teapot.patches()[4:8] + 0.01 * rng.normal(size=(4, 4, 4, 3))
@@ -330,6 +332,7 @@ def test_weights_must_be_positive(main_view):
         slefe_factors(np.zeros((1, 4, 4, 4)), main_view)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["slefe", "certified", "filip", "screen-box"])
 def test_nothing_is_lost_far_from_the_origin(method, rng):
     """In single precision, a hundred thousand sizes away: what is left is the rounding of relative coordinates.

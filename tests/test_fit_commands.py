@@ -57,6 +57,7 @@ def test_budget(capsys, by):
     assert set(os.listdir(result["out"])) == {"budget.png", "table.csv", "run.json"}
 
 
+@pytest.mark.slow
 def test_sensitivity(capsys):
     result = run_json(capsys, "sensitivity", "teapot", *FAST)
     rows = result["rows"]

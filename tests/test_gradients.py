@@ -48,12 +48,15 @@ def hard() -> np.ndarray:
     return np.stack(places)
 
 
+QUICK = ("certified", "slefe")  # methods whose gradients every run looks at; the others are slow tests
+
+
 def _total(points: Any, eye: Any, tolerance: Any, method: str, **more: Any) -> Any:
     options = {**FAST.get(method, {}), **more}
     return jnp.sum(tessellation_factors(points, _view(eye), method, tolerance=tolerance, **options).factor)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", [m if m in QUICK else pytest.param(m, marks=pytest.mark.slow) for m in METHODS])
 def test_no_gradient_is_nan(method, hard):
     """Flat, bilinear, collapsed, symmetric, linear, behind, beside, around the eye, tiny, huge."""
     slopes = jax.grad(partial(_total, method=method), argnums=(0, 1, 2))(jnp.asarray(hard), EYE, 0.5)
@@ -73,7 +76,11 @@ def rough() -> np.ndarray:
 @pytest.mark.parametrize("shape", [(4, 4, 3), *(pytest.param(s, marks=pytest.mark.slow) for s in SHAPES)])
 @pytest.mark.parametrize(
     "method",
-    ["slefe", "filip", "minmax", "edge-length", "screen-box", pytest.param("certified", marks=pytest.mark.slow)],
+    [
+        "slefe",
+        "filip",
+        *(pytest.param(m, marks=pytest.mark.slow) for m in ("minmax", "edge-length", "screen-box", "certified")),
+    ],
 )
 def test_reverse_mode_is_forward_mode_is_differences(method, shape, rough):
     """Patch by patch: each factor depends on its own patch alone, so one pass each way compares all of them."""
@@ -120,6 +127,7 @@ def _smooth(method: str) -> Any:
     return lambda points, temperature: whole(jnp.asarray(points), EYE, 0.5, temperature)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["slefe", pytest.param("certified", marks=pytest.mark.slow)])
 def test_smooth_factors_are_upper_bounds_with_finite_gradients(method, hard):
     exact = np.asarray(tessellation_factors(hard, _view(EYE), method, **FAST[method]).factor)
@@ -146,6 +154,7 @@ def test_smooth_gradients_against_differences_on_ties(hard):
     assert float(np.vdot(slopes[0], direction)) == pytest.approx((ahead - behind) / (2 * h), rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["filip", "minmax", "edge-length", "screen-box"])
 def test_gradients_without_perspective(method, hard):
     """Row W of the matrix is (0, 0, 0, 1) there: its first three numbers have no direction."""
@@ -158,6 +167,7 @@ def test_gradients_without_perspective(method, hard):
         assert np.isfinite(slope).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [np.float32, pytest.param(np.float64, marks=pytest.mark.slow)])
 def test_a_temperature_next_to_nothing_is_no_smaller_than_rounding(dtype, hard):
     points, options = hard.astype(dtype), FAST["slefe"]

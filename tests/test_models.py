@@ -78,6 +78,7 @@ def test_meshes_draw_without_a_crack(models, device, name, rng):
     renderer.release()
 
 
+@pytest.mark.slow
 def test_the_certified_factor_holds_on_a_mesh(models, device):
     """One view of a small mesh with boundaries of valence 3 to 7; all of them are among the slow tests."""
     from slefejax.gpu import Renderer

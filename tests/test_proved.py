@@ -95,6 +95,7 @@ def test_neighbours_in_thirty_three_pieces():
     assert triangle_error(patches[own], made, view).max() <= 0.5
 
 
+@pytest.mark.slow
 def test_levels_stay_as_chosen_where_they_are_proved(teapot, main_view, monkeypatch):
     """On the teapot, whose levels are all below 64, nothing is raised in the end."""
     found = tessellation_factors(teapot.patches(), main_view, tiles=1, edge_numbers=teapot.edge_numbers)

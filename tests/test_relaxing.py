@@ -37,6 +37,7 @@ def patch_with(function):
     return np.stack([x, y, function(x, y)], axis=-1)[None]
 
 
+@pytest.mark.slow
 def test_distance_against_a_cloud_of_points(rng):
     given = rng.normal(size=(3, 4, 4, 3)) * 0.1 + patch_with(lambda x, y: 0 * x)
     patches = given + 0.02 * rng.normal(size=given.shape)

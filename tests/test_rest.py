@@ -86,6 +86,7 @@ def test_it_is_saved_and_read_again_and_copied(quad, tmp_path):
     np.testing.assert_allclose(three.pose(), three.patches(), atol=1e-13)
 
 
+@pytest.mark.slow
 def test_gradients_are_those_at_rest(quad):
     view = View(quad.default_camera(), 320, 200)
     found: Any = sensitivity(quad, view, method="filip")

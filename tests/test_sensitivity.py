@@ -39,6 +39,7 @@ def count(scene, pose, view, **options):
     return float(real_triangles(patches, view, **{**SMOOTH, **options}))
 
 
+@pytest.mark.slow
 def test_the_number_itself(walker, posed):
     pose, view, found = posed
     assert found.triangles == pytest.approx(count(walker, pose, view), rel=1e-12)

@@ -54,7 +54,7 @@ def turned(view: View, degrees: float) -> View:
     ("options", "deform"),
     [
         ({"tiles": 1}, None),
-        (BOX, dual_quaternion_blend),
+        pytest.param(BOX, dual_quaternion_blend, marks=pytest.mark.slow),
         pytest.param({"method": "slefe", "segments": 2, "depth_tolerance": 1e-3}, None, marks=pytest.mark.slow),
         ({"method": "edge-length"}, None),
     ],

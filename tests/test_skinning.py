@@ -179,7 +179,7 @@ def test_frames_in_a_batch_are_frames_one_by_one(rng, blend):
     np.testing.assert_allclose(blend(rest[0], transforms, influences), same, atol=1e-14)
 
 
-@pytest.mark.parametrize("blend", [linear_blend, dual_quaternion_blend])
+@pytest.mark.parametrize("blend", [linear_blend, pytest.param(dual_quaternion_blend, marks=pytest.mark.slow)])
 def test_gradients_against_differences(rng, blend):
     rest, transforms = rng.normal(size=(VERTICES, 3)), rigid(rng, BONES)
     influences = Influences.of(*random_influences(rng), BONES)

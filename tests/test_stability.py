@@ -37,6 +37,7 @@ def test_sixty_digits_agree_with_the_library(case):
         assert again == pytest.approx(worst.error[k], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_nothing_is_broken_in_an_easy_case(case):
     row = stability.measure(case, np.float32)
     assert [row[name] for name in ("containment_violations", "certificate_violations", "nonfinite", "refused")] == [
@@ -56,6 +57,7 @@ def test_an_enclosure_that_is_too_small_is_found(case, monkeypatch):
     assert stability.measure(case, np.float64)["containment_violations"] > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("of_depth", [False, True])
 def test_a_factor_that_is_too_small_is_found(case, monkeypatch, of_depth):
     def coarser(patches, view, method, *, tolerance, depth_tolerance, **own):

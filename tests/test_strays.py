@@ -94,6 +94,7 @@ def test_triangles_without_area_get_some():
     assert np.array_equal(strays._with_area(whole), whole)
 
 
+@pytest.mark.slow
 @pytest.mark.gl
 @pytest.mark.parametrize(
     ("scheme", "camera"), [("pinched", 9), pytest.param("catmull-clark+acc", 0, marks=pytest.mark.slow)]

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import jax
 import numpy as np
+import pytest
 
 from slefejax import tessellation_factors, worst_points
 from slefejax.error import drawn_error
@@ -11,6 +12,7 @@ from slefejax.gpu import Renderer
 _COMPILED = "/jax/core/compile/backend_compile_duration"
 
 
+@pytest.mark.slow
 def test_a_hundred_cameras_need_no_more_programs_than_the_first_few(teapot, device):
     """Factors, levels, draw, error image, sup error. What other tests of this process compiled is forgotten first."""
     jax.clear_caches()

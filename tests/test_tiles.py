@@ -30,8 +30,8 @@ def check_inside(patches, segments, rng, samples=60):
         assert np.all(point <= upper[:, i, j] + slack)
 
 
-@pytest.mark.parametrize("decades", [0, 2, 6, 12])
-@pytest.mark.parametrize("segments", [(1, 1), (3, 3), (2, 5)])
+@pytest.mark.parametrize("decades", [0, 12, *(pytest.param(d, marks=pytest.mark.slow) for d in (2, 6))])
+@pytest.mark.parametrize("segments", [(1, 1), (2, 5), pytest.param((3, 3), marks=pytest.mark.slow)])
 @pytest.mark.parametrize("degrees", [(1, 1), (2, 3), (3, 3)])
 def test_rational_patches_stay_inside(degrees, segments, decades, rng, precision):
     """What is left for rounding is that of the comparison, in double precision: bounds are outward in both."""

@@ -117,6 +117,7 @@ def test_an_arm_with_a_blend_shape(tmp_path):
     np.testing.assert_allclose(scene.vertices(0.0)[:6], rest, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_patches_follow_the_pose(tmp_path):
     scene = load(write(tmp_path, "arm.usda", ARM))
     assert scene.conversion is not None
