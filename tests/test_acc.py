@@ -367,6 +367,7 @@ def test_notes_tell_what_is_left_out(rng):
     assert "not midway" in convert(triangle_fan(5), alpha=2.0).notes[0]
 
 
+@pytest.mark.slow
 def test_gradients_go_through_the_conversion(rng):
     """Of a number that depends on all patches and their tangents, by every vertex, against finite differences."""
     found = convert(triangle_fan(3, rng=rng))

@@ -42,7 +42,7 @@ def exact_errors(a, b, c, inner):
     return worst
 
 
-@pytest.mark.parametrize("anisotropic", [False, True])
+@pytest.mark.parametrize("anisotropic", [pytest.param(False, marks=pytest.mark.slow), True])
 @pytest.mark.parametrize("verify", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_saddles_hold_with_the_levels_that_are_drawn(rng, anisotropic, verify):
     """A cell that is narrower one way can have a larger error: a and c cancel less."""
@@ -129,6 +129,7 @@ def test_single_precision_proofs_far_from_the_origin(rng):
     assert np.all(error <= 2.0)
 
 
+@pytest.mark.slow
 def test_scaled_proofs():
     """What is proved for n is taken for scale times n."""
     a = 4 * 7.5**2

@@ -180,6 +180,7 @@ def test_patches_through_the_camera_plane_stay_finite(distance, rng):
     assert np.any(factor > 1)
 
 
+@pytest.mark.slow
 def test_two_numbers_of_segments(teapot, main_view):
     patches = teapot.patches()
     same = slefe_factors(patches, main_view, segments=(3, 3)).factor

@@ -48,7 +48,7 @@ def hard() -> np.ndarray:
     return np.stack(places)
 
 
-QUICK = ("certified", "slefe")  # methods whose gradients every run looks at; the others are slow tests
+QUICK = ("certified",)  # methods whose gradients every run looks at; the others are slow tests
 
 
 def _total(points: Any, eye: Any, tolerance: Any, method: str, **more: Any) -> Any:

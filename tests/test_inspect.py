@@ -71,6 +71,7 @@ def test_inspect_of_patches(device, capsys, tmp_path, teapot):
     assert (row["patches"], row["common_edges"], row["free_edges"], row["edges_of_no_length"]) == (32, 52, 16, 8)
 
 
+@pytest.mark.slow
 @pytest.mark.gl
 def test_inspect_of_sides_that_digits_parted(device, capsys, tmp_path):
     """A closed surface of mixed degrees: no free side; with --weld 0 many, each of which lies on another."""

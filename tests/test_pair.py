@@ -98,6 +98,7 @@ def test_a_pair_by_hand(tmp_path):
     np.testing.assert_allclose(scene.vertices(lifted)[:2], [[0, 0, 0], [1, 0, 0]], atol=1e-15)  # type: ignore[index]
 
 
+@pytest.mark.slow
 def test_the_deformation_that_a_file_asks_for_is_kept(tmp_path):
     """Two of four vertices are blended by dual quaternions: in a pair, in one that is saved of it, and in copies."""
     names, arrays = minimal()

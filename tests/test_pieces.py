@@ -123,7 +123,7 @@ def test_rings_of_pieces(rng):
 
 
 @pytest.mark.gl
-@pytest.mark.parametrize("degree", [1, 3])
+@pytest.mark.parametrize("degree", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_pieces_meet_without_a_crack(device, rng, degree):
     """Patches of 1 to 300 cells beside each other: as many triangles as prescribed, no open edge, equal bits."""
     from slefejax.gpu import Renderer

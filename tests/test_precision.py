@@ -25,7 +25,9 @@ def bent(offset: np.ndarray) -> tuple[np.ndarray, View]:
     return patch + offset, view
 
 
-@pytest.mark.parametrize("method", ["certified", "slefe", "filip", "screen-box"])
+@pytest.mark.parametrize(
+    "method", ["certified", "slefe", *(pytest.param(x, marks=pytest.mark.slow) for x in ("filip", "screen-box"))]
+)
 def test_double_patches_far_away_while_jax_is_single(method):
     """The origin is taken off before anything is rounded to float32: the same factor as in double precision."""
     patches, view = bent(np.array([1e6, 0.0, 0.0]))

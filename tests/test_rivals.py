@@ -86,7 +86,7 @@ def test_control_polygon_distance_is_sharp(degree):
 
 
 @pytest.mark.parametrize("pieces", [1, 2, 3, 5])
-@pytest.mark.parametrize("degree", [2, 3, 5, 9])
+@pytest.mark.parametrize("degree", [2, 3, *(pytest.param(x, marks=pytest.mark.slow) for x in (5, 9))])
 def test_optimum_encloses_and_nothing_is_narrower(degree, pieces, rng):
     for curve in rng.normal(size=(6, degree + 1)):
         lower, upper = optimal_curve(curve, pieces)

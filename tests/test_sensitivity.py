@@ -86,6 +86,7 @@ def test_vertices_by_differences(walker, posed, rng):
     assert float(np.vdot(found.points, values)) == pytest.approx((ahead - behind) / (2 * H), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_points_of_patches_move_together(teapot, main_view, rng):
     # symmetric control nets tie: shaken, with equal points still equal
     flat = teapot.patches().reshape(-1, 3)

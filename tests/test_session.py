@@ -323,6 +323,7 @@ def test_any_function_can_deform(view):
     np.testing.assert_allclose(session.patches, scene.conversion.patchwork.on_host(sheared), atol=1e-14)
 
 
+@pytest.mark.slow
 def test_gradients_by_pose_and_keys(walker, rng):
     """Of the control points, by central differences."""
     pull = rng.normal(size=walker.patches().shape)

@@ -128,6 +128,7 @@ def test_dual_quaternions_with_scale_are_usd_cores(rng):
     np.testing.assert_allclose(found, np.array(points), atol=1e-5)  # its points are in single precision
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sizes", [(0, 0, 0), (1, 0, 0), (1, 1, 0), (1, 1, 1), (-2, 1, 0), (1e-30, 1e-30, 1e-30)])
 def test_rotations_of_what_flattens_space(sizes):
     """Whatever is scaled to nothing: rotations all the same, and derivatives that are finite."""

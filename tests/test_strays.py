@@ -160,7 +160,7 @@ def sheet(rng, height):
 
 
 @pytest.mark.gl
-@pytest.mark.parametrize("level", [3, 64, 200])
+@pytest.mark.parametrize("level", [3, 64, pytest.param(200, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("height", [0.05, 1e-5])
 def test_edge_on_and_through_the_near_plane(device, rng, height, level):
     """Triangles with corners behind the camera; of the flatter sheet all triangles are seen edge on; cut into pieces.

@@ -212,7 +212,7 @@ def test_joints_that_scale_with_dual_quaternions(tmp_path):
     np.testing.assert_allclose(scene.vertices(0.0)[1], [1, 0, 0], atol=1e-15)
 
 
-@pytest.mark.parametrize("deform", [linear_blend, dual_quaternion_blend])
+@pytest.mark.parametrize("deform", [linear_blend, pytest.param(dual_quaternion_blend, marks=pytest.mark.slow)])
 def test_a_joint_that_is_scaled_to_nothing_has_derivatives(tmp_path, deform):
     """By time, and by the joints themselves."""
     gone = SWING.replace("scales = [(1,1,1), (1,1,1)]", "scales = [(1,1,1), (0,0,0)]")
