@@ -106,8 +106,8 @@ def test_exact_maxima():
 def test_no_branch_of_a_gradient_is_dropped(rng, dtype):
     """The smallest of computed numbers, in a loop that is computed again for the gradient.
 
-    All points moved along the row change W alone, so that derivative is known: bends / W^2. With ``jnp.min`` it is 0 in
-    some lanes in jax 0.12.0 and 0.12.0.1: see ``slefejax.maxima``.
+    All points moved along the row change W alone, so that derivative is known: bends / W^2. With ``jnp.min`` part of
+    it is missing in some lanes in jax 0.12.0 and 0.12.0.1: see ``slefejax.maxima``.
     """
     nets, row = rng.normal(size=(2, 4, 4, 3, 64)).astype(dtype), jnp.asarray([-0.5, 0.7, 0.4, 5.0], dtype)
 
