@@ -143,6 +143,7 @@ def test_smooth_factors_are_upper_bounds_with_finite_gradients(method, hard):
         before = np.asarray(factor)
 
 
+@pytest.mark.slow
 def test_smooth_gradients_against_differences_on_ties(hard):
     """Collapsed sides, equal coefficients, coordinates without second differences: smooth factors have a derivative."""
     direction = np.zeros_like(hard)

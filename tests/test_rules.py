@@ -60,6 +60,7 @@ def test_off_screen_is_zero_and_float32_stays(method, teapot, main_view):
     np.testing.assert_allclose(single, factor[:32], rtol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["filip", "minmax", "edge-length", "screen-box"])
 def test_gradients(method, teapot, main_view, rng):
     patches = jnp.asarray(teapot.patches()[4:8] + 0.01 * rng.normal(size=(4, 4, 4, 3)))
