@@ -13,6 +13,7 @@ import numpy as np
 import tyro
 
 from slefejax import InputError
+from slefejax.arguments import no_such
 from slefejax.experiments.attack_batch import attack
 from slefejax.experiments.attack_judge import ALLOWANCE
 from slefejax.experiments.attack_nets import FAMILIES
@@ -73,7 +74,7 @@ class Attack:
         for name, given, known in (("family", self.family, FAMILIES), ("setting", self.setting, SETTINGS)):
             unknown = [own for own in given if own not in known]
             if unknown:
-                raise InputError(f"there is no {name} {unknown[0]!r}: choose among {', '.join(known)}")
+                raise InputError(no_such(name, unknown[0], known))
         check_count("--pairs", self.pairs)
         check_count("--seed", self.seed, 0)
         check_count("--workers", self.workers, 0)

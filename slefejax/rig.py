@@ -18,7 +18,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Bool, Float, Int
 
-from slefejax.arguments import floating, whole_numbers
+from slefejax.arguments import floating, no_such, whole_numbers
 from slefejax.errors import InputError
 from slefejax.late import one_at_a_time
 from slefejax.skinning import Influences, ShapeKeys, dual_quaternion_blend, linear_blend, rotation_matrices
@@ -264,10 +264,7 @@ class Rig:
             return jnp.asarray(given)
         unknown = [name for name in given if name not in names]
         if unknown:
-            raise InputError(
-                f"there is no shape key {unknown[0]!r}: "
-                + (f"there are {', '.join(names)}" if names else "there are none")
-            )
+            raise InputError(no_such("shape key", unknown[0], names))
         if own is None:
             own = jnp.zeros(len(names)) if self.rest.keys is None else jnp.asarray(self.rest.keys)
         places = np.array([names.index(name) for name in given], np.int64)

@@ -186,7 +186,7 @@ def test_morph_targets_of_a_real_file(models):
     moved = np.any(lifted != rest, axis=1)
     assert 0 < moved.sum() < 400
     assert np.asarray(scene.vertices(1.0)).shape == rest.shape
-    with pytest.raises(InputError, match=r"no animation 'Run': it has Individuals, Pulse, TheWave"):
+    with pytest.raises(InputError, match=r"no animation 'Run': choose one of Individuals, Pulse, TheWave"):
         load(models / "morph_stress_test.gltf", animation="Run")
 
 

@@ -127,7 +127,7 @@ def test_every_command_takes_meshes_and_their_options(capsys, tmp_path):
         (["a.obj", "--scheme", "acc"], "takes quads only, and face 1"),
         (["a.obj", "--alpha", "-1"], "alpha must be a positive number"),
         (["a.obj", "--steps", "2"], "steps belong to the scheme"),
-        (["a.obj", "--group", "none"], "no faces in a group 'none'"),
+        (["a.obj", "--group", "none"], "no group with faces 'none'"),
         (["a.obj", "--weld", "0"], "weld has no meaning for it"),
         (["a.obj", "--weld", "-1"], "weld must be a number of at least 0"),
         (["a.obj", "--cover", "2"], "share of the screen"),

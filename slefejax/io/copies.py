@@ -26,7 +26,7 @@ def with_copies(content: Content, copies: Any) -> Content:
     Raises InputError for a number that is none, or for content that is no control mesh.
     """
     if not is_whole(copies, 1) or copies > _MOST:
-        raise InputError(f"copies must be a whole number from 1 to {_MOST}, not {copies!r}")
+        raise InputError(f"copies must be a whole number from 1 to {_MOST}, not {copies!r}", options=("copies",))
     if content.mesh is None or content.splines or content.patches:
         raise InputError("copies are made of control meshes only")
     axis = 0 if content.up[0] == 0 else 1

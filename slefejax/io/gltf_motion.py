@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from slefejax.arguments import is_whole
+from slefejax.arguments import is_whole, no_such
 from slefejax.errors import InputError
 from slefejax.io.gltf_extensions import extension_of
 from slefejax.io.gltf_file import GltfFile
@@ -38,7 +38,7 @@ def chosen_animation(file: GltfFile, wanted: Any, notes: list[str]) -> dict[str,
     number = int(wanted) if is_whole(wanted, 0) or (isinstance(wanted, str) and wanted.isdecimal()) else len(names)
     if number < len(names):
         return animations[number]
-    raise InputError(f"{file.path} has no animation {wanted!r}: it has {', '.join(names) or 'none'}")
+    raise InputError(f"{file.path}: {no_such('animation', wanted, names)}")
 
 
 def channels_of(file: GltfFile, animation: dict[str, Any] | None, notes: list[str]) -> list[Channel]:

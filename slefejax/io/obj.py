@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from slefejax.arguments import no_such
 from slefejax.errors import InputError
 from slefejax.io.content import Y_UP, Content, read_bytes
 from slefejax.io.limits import LARGEST_TEXT
@@ -175,8 +176,7 @@ def read_obj(path: Path, group: Any = None) -> Content:
     for reader.line, words in _statements(data):
         reader.take(words)
     if wanted is not None and (missing := sorted(wanted - reader.named)):
-        there = ", ".join(sorted(reader.named - {""})[:12])
-        raise InputError(f"{path} has no faces in a group {missing[0]!r}: there are {there or 'none'}")
+        raise InputError(f"{path}: {no_such('group with faces', missing[0], sorted(reader.named - {''}))}")
     if not reader.sizes:
         raise InputError(f"{path} has no faces: a control mesh needs at least one line 'f …'")
     return Content(mesh=_mesh(reader), up=Y_UP, notes=_notes(reader))
