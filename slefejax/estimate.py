@@ -296,11 +296,24 @@ def rational_widths(
     with_depth: bool,
     smooth: Any = None,
 ) -> tuple[Grid, Grid | None]:
-    """The widths of rational patches: at each breakpoint that of the slefe of X - s W, over W (MATH.md, section 6).
+    """The widths of rational patches: those of ``rational_boxes``. The papers have none."""
+    _, low, high = rational_boxes(control, projection, segments, 3 if with_depth else 2, smooth)
+    sides = high - low
+    return largest([sides[:, :, 0], sides[:, :, 1]], smooth), sides[:, :, 2] if with_depth else None
 
-    The papers have none. X, Y and W are the polynomials of the undivided pixel position, s is X/W at the breakpoint,
-    so x - s = (X - s W)/W, and numerator and denominator do not vary apart. Near and behind the camera W counts as at
-    the near plane.
+
+def rational_boxes(
+    control: Float[Array, "nu nv 4 lanes"],
+    projection: Projection,
+    segments: tuple[int, int],
+    rows: int,
+    smooth: Any = None,
+) -> tuple[Any, Any, Any]:
+    """Position s on the screen at each breakpoint, and from how far below it to how far above (MATH.md, section 6).
+
+    Each ``(bu, bv, rows, lanes)``, rows of pixels and window depth: the slefe of X - s W, over W. X, Y and W are the
+    polynomials of the undivided pixel position, s is X/W at the breakpoint, so x - s = (X - s W)/W, and numerator and
+    denominator do not vary apart. Near and behind the camera W counts as at the near plane.
     """
     screen = jnp.stack([sum(row[a] * control[:, :, a] for a in range(4)) for row in projection.to_pixels], axis=2)
     u, v = (np.arange(m + 1) / m for m in segments)
@@ -310,11 +323,10 @@ def rational_widths(
     )
     point = jnp.einsum("ik,jl,ijcp->klcp", basis_u, basis_v, screen, precision="highest")
     w = at_least(point[:, :, 3], projection.near_w)[:, :, None]
-    rows = 3 if with_depth else 2
-    g = screen[:, :, None, None, :rows] - (point[:, :, :rows] / w) * screen[:, :, None, None, 3:]
+    at = point[:, :, :rows] / w
+    g = screen[:, :, None, None, :rows] - at * screen[:, :, None, None, 3:]
     low, high = _enclose_at_breakpoints(g, segments, smooth)
-    sides = (high - low) / w
-    return largest([sides[:, :, 0], sides[:, :, 1]], smooth), sides[:, :, 2] if with_depth else None
+    return at, low / w, high / w
 
 
 def _enclose_at_breakpoints(

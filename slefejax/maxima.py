@@ -16,8 +16,6 @@ import jax
 import jax.numpy as jnp
 from jax.lax import select, stop_gradient
 
-from slefejax import layout
-
 
 def larger(a: Any, b: Any) -> Any:
     """The larger of two arrays, element by element; NaN is not passed on.
@@ -75,15 +73,27 @@ def _chosen_along(choose: Callable[..., Any], axis: tuple[int, ...], values: Any
 
 @_chosen_along.defjvp
 def _of_the_chosen(choose: Callable[..., Any], axis: tuple[int, ...], at: tuple[Any], along: tuple[Any]) -> Any:
-    """JAX's own rule, of values that are computed once.
+    """The mean of the tangents of those that are chosen; one of them is found without comparing two computations.
 
-    The rule (``_reduce_chooser_jvp_rule``) finds the chosen ones by comparing values with their maximum bit for bit. So
-    it "depend[s] on bitwise equivalence of forward & backward pass" (jax-ml/jax#40578, which mends the maximum of two
-    arrays, not that along axes) and "silently drops a gradient branch" where the compiler "emits the operand twice with
-    different rounding" (#40564). From jax 0.12.0 on XLA's CPU backend does; tests/test_maxima.py has a small program in
-    which that is seen.
+    JAX's own rule (``_reduce_chooser_jvp_rule``) takes all that equal the result bit for bit. So it "depend[s] on
+    bitwise equivalence of forward & backward pass" (jax-ml/jax#40578, which mends the maximum of two arrays, not that
+    along axes), and "silently drops a gradient branch" where the compiler "emits the operand twice with different
+    rounding" (#40564); where it drops the only one it is NaN. From jax 0.12.0 on XLA's CPU backend does, inside of a
+    jit before, too, and a barrier does not keep it from that. An index is one of the chosen whatever the rounding.
     """
-    return jax.jvp(partial(choose, axis=axis), (layout.once(at[0]),), along)
+    (values,), (tangent,) = at, along
+    whole = choose(values, axis=axis)
+
+    def flat(array: Any) -> Any:
+        return jnp.moveaxis(array, axis, range(len(axis))).reshape(-1, *whole.shape)
+
+    values, tangent = flat(values), flat(tangent)
+    number = jnp.arange(len(values)).reshape(-1, *(1,) * whole.ndim)
+    chosen = (number == _PLACE[choose](values, axis=0)) | (values == whole)
+    return whole, jnp.sum(select(chosen, tangent, jnp.zeros_like(tangent)), axis=0) / jnp.sum(chosen, axis=0)
+
+
+_PLACE = {jnp.max: jnp.argmax, jnp.min: jnp.argmin}
 
 
 def blur(values: list[Any], temperature: Any, alike: tuple[int, ...] = ()) -> Any:

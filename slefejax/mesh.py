@@ -131,6 +131,12 @@ class Mesh:
                 _check_sharp(name, np.asarray(sharp[at]), np.asarray(sharp[sharpness]), len(vertices))
         return Mesh(vertices, corners, offsets, numbers, **sharp)
 
+    def turned(self) -> Mesh:
+        """The same with its other side as the front: every face the other way round from the same vertex on."""
+        start, size = self.offsets[:-1][self.face], self.sizes[self.face]
+        place = np.arange(len(self.corners)) - start
+        return replace(self, corners=self.corners[start + (size - place) % size])
+
     @property
     def face_count(self) -> int:
         """How many faces there are."""
@@ -198,6 +204,12 @@ class Mesh:
         """The two vertices of every edge, the lower number first."""
         return np.stack(np.divmod(self._edge_numbering[0], self.vertex_count), axis=1)
 
+    def edge_between(self, pairs: Int[np.ndarray, "pairs 2"]) -> Int[np.ndarray, "pairs"]:
+        """The number of the edge between two vertices that exist, -1 where there is none."""
+        keys, wanted = self._edge_numbering[0], self._pair_keys(pairs)
+        place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+        return np.where(keys[place] == wanted, place, -1)
+
     @cached_property
     def edge_faces(self) -> Int[np.ndarray, "edges"]:
         """How many faces meet in every edge."""
@@ -232,17 +244,12 @@ class Mesh:
 
         Raises InputError for a crease between vertices that no edge joins.
         """
-        sharpness = np.where(self.boundary, np.inf, 0.0)
-        if len(self.creases):
-            keys, place = (
-                self._edge_numbering[0],
-                np.searchsorted(self._edge_numbering[0], self._pair_keys(self.creases)),
-            )
-            missing = np.flatnonzero(keys[np.minimum(place, len(keys) - 1)] != self._pair_keys(self.creases))
-            if missing.size:
-                a, b = self.creases[missing[0]].tolist()
-                raise InputError(f"crease {missing[0]} joins vertices {a} and {b} (counted from 0), but no edge does")
-            np.maximum.at(sharpness, place, self.crease_sharpness)
+        sharpness, edge = np.where(self.boundary, np.inf, 0.0), self.edge_between(self.creases)
+        missing = np.flatnonzero(edge < 0)
+        if missing.size:
+            a, b = self.creases[missing[0]].tolist()
+            raise InputError(f"crease {missing[0]} joins vertices {a} and {b} (counted from 0), but no edge does")
+        np.maximum.at(sharpness, edge, self.crease_sharpness)
         return sharpness
 
     @cached_property
@@ -261,11 +268,7 @@ class Mesh:
     def components(self) -> tuple[int, Int[np.ndarray, "faces"]]:
         """How many pieces hang together by vertices, and the piece of every face."""
         count, faces = self.vertex_count, self.face_count
-        graph = coo_array((np.ones(len(self.corners), bool), (self.face, faces + self.corners)), (faces + count,) * 2)
-        with one_at_a_time:
-            from scipy.sparse.csgraph import connected_components  # slow to import
-
-        _, labels = connected_components(graph, directed=False)
+        _, labels = connected(faces + count, self.face, faces + self.corners)
         pieces, piece = np.unique(labels[:faces], return_inverse=True)
         return len(pieces), piece.ravel()
 
@@ -309,14 +312,21 @@ def _check_sharp(name: str, at: np.ndarray, sharpness: np.ndarray, count: int) -
         )
 
 
-def _ordered(turn: np.ndarray, vertex: np.ndarray) -> Fans:
-    """Fans from the map of every corner to the next one."""
-    linked = np.flatnonzero(turn >= 0)
-    graph = coo_array((np.ones(len(linked), bool), (linked, turn[linked])), (len(turn),) * 2)
+def connected(
+    count: int, one: Int[np.ndarray, "pairs"], other: Int[np.ndarray, "pairs"]
+) -> tuple[int, Int[np.ndarray, "things"]]:
+    """How many groups so many things make of which these pairs belong together, and the group of each."""
     with one_at_a_time:
         from scipy.sparse.csgraph import connected_components  # slow to import
 
-    count, fan = connected_components(graph, directed=False)
+    graph = coo_array((np.ones(len(one), bool), (one, other)), (count, count))
+    return connected_components(graph, directed=False)
+
+
+def _ordered(turn: np.ndarray, vertex: np.ndarray) -> Fans:
+    """Fans from the map of every corner to the next one."""
+    linked = np.flatnonzero(turn >= 0)
+    count, fan = connected(len(turn), linked, turn[linked])
     first = np.full(count, len(turn))
     np.minimum.at(first, fan, np.arange(len(turn)))
     entered = np.zeros(len(turn), bool)

@@ -15,7 +15,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from slefejax.estimate import inside_of_tiles
+from slefejax.estimate import inside_of_tiles, rational_boxes
 from slefejax.maxima import at_least, larger, largest_along, root, smallest_along
 from slefejax.projection import Projection
 from slefejax.slefe import enclose_patch
@@ -61,8 +61,11 @@ def edge_length(control: Control, projection: Projection, tolerance: Any, settin
 
 def screen_box(control: Control, projection: Projection, tolerance: Any, setting: Any) -> Any:
     """The longer side of the box around the projection (of the slefe's boxes), over mu = ``setting`` pixels."""
-    lower, upper = enclose_patch(control, _BOX_SEGMENTS)
-    pairs = [_projected(bound, projection) for bound in (lower, upper)]
+    if control.shape[2] == 4:  # a slefe of w x would depend on where the origin is
+        at, low, high = rational_boxes(control, projection, _BOX_SEGMENTS, rows=2)
+        pairs = [(at[:, :, 0] + own[:, :, 0], at[:, :, 1] + own[:, :, 1]) for own in (low, high)]
+    else:
+        pairs = [_projected(bound, projection) for bound in enclose_patch(control, _BOX_SEGMENTS)]
     x, y = (jnp.concatenate([pair[axis] for pair in pairs]) for axis in (0, 1))
     return at_least(_extent(x, y) / setting, 1.0)
 

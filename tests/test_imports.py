@@ -125,3 +125,29 @@ def test_import_loads_no_graphics_and_starts_no_backend():
         "import jax; assert not jax.config.jax_enable_x64"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT.parent)
+
+
+def late_imports(path: Path) -> list[tuple[int, bool]]:
+    """Line of every import of a package in a function, and whether one lock holds others off meanwhile."""
+    found = []
+
+    def visit(node: ast.AST, inside: bool, locked: bool) -> None:
+        if isinstance(node, (ast.Import, ast.ImportFrom)):
+            own = isinstance(node, ast.ImportFrom) and (node.module or "").startswith("slefejax")
+            if inside and not own:
+                found.append((node.lineno, locked))
+        inside = inside or isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
+        names = [ast.unparse(item.context_expr) for item in node.items] if isinstance(node, ast.With) else []
+        for child in ast.iter_child_nodes(node):
+            visit(child, inside, locked or "one_at_a_time" in names)
+
+    visit(ast.parse(path.read_text()), inside=False, locked=False)
+    return found
+
+
+def test_packages_that_are_imported_late_are_imported_by_one_thread_at_a_time():
+    """Two threads that import compiled packages for the first time can wait for each other for ever."""
+    paths = [path for path in modules().values() if path.name != "probe.py"]  # a process of its own
+    every = {path: late_imports(path) for path in [*paths, ROOT / "gpu" / "strays.py"]}
+    assert sum(map(len, every.values())) > 10
+    assert not [f"{path}:{line}" for path, lines in every.items() for line, locked in lines if not locked]

@@ -74,6 +74,15 @@ def test_gradients(method, teapot, main_view, rng):
     assert float(jnp.vdot(jax.grad(total)(patches), direction)) == pytest.approx(numeric, rel=1e-4)
 
 
+def test_the_box_of_rational_patches_depends_on_no_origin(rng, main_view):
+    """Eager calls take an origin off that is near the patches; traced ones have none to take."""
+    weights = np.exp(0.5 * rng.normal(size=(20, 4, 4, 1)))
+    patches = np.concatenate([(rng.normal(size=(20, 4, 4, 3)) + [0, 0, 1]) * weights, weights], axis=-1)
+    found = tessellation_factors(patches, main_view, "screen-box").factor
+    traced = jax.jit(lambda points: tessellation_factors(points, main_view, "screen-box").factor)(patches)
+    np.testing.assert_allclose(traced, found, rtol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [

@@ -25,12 +25,12 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import coo_array
 
 from slefejax.bezier import elevate
 from slefejax.edges import EDGES, number_by_first_use
 from slefejax.errors import InputError
 from slefejax.late import one_at_a_time
+from slefejax.mesh import connected
 
 _UNKNOWN_DIGITS = 1e-6  # of the size of a scene
 _ROUNDINGS = 16  # eps of the largest coordinate
@@ -334,11 +334,7 @@ def _common_corners(
     for owner, other, backwards, _ in twins:
         links += zip(_ends(owner), _ends(other)[:: -1 if backwards else 1], strict=True)
     one, two = np.array(links).T
-    with one_at_a_time:
-        from scipy.sparse.csgraph import connected_components  # slow to import
-
-    graph = coo_array((np.ones(len(one), bool), (one, two)), (4 * len(patches),) * 2)
-    _, place = connected_components(graph, directed=False)
+    _, place = connected(4 * len(patches), one, two)
     away = corners.centre != corners.number
     order = np.lexsort((away, place))  # stable: the first at the centre
     first = order[np.unique(place[order], return_index=True)[1]]

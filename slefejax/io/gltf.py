@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from slefejax.errors import InputError
+from slefejax.errors import InputError, naming
 from slefejax.io.content import Y_UP, Content
 from slefejax.io.gltf_extensions import extension_notes
 from slefejax.io.gltf_file import GltfFile
@@ -36,10 +36,10 @@ def read_gltf(path: Path, animation: Any = None) -> Content:
     """
     file = GltfFile.of(path)
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite in the end is refused
+        with naming(path), np.errstate(over="ignore", invalid="ignore"):  # what is not finite in the end is refused
             return _content(file, animation)
-    except InputError as error:
-        raise error if str(path) in str(error) else file.fail(str(error)) from None
+    except InputError:
+        raise
     except (KeyError, TypeError, IndexError, AttributeError, ValueError, OverflowError, MemoryError) as error:
         raise file.fail(f"it is not glTF as it should be ({type(error).__name__}: {error})") from None
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import binascii
 import json
-import re
 import struct
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,14 +20,13 @@ import numpy as np
 from slefejax.errors import InputError
 from slefejax.io.content import read_bytes
 from slefejax.io.gltf_extensions import DRACO, MESHOPT, extension_of, hides_shapes
-from slefejax.io.limits import LARGEST_TEXT, check_size
+from slefejax.io.limits import LARGEST_TEXT, check_size, within
 
 _TYPES = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5125: "u4", 5126: "f4"}
 _SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _MOST = 2 * 10**7  # numbers of an accessor
 _MOST_ZEROS = 3 * 10**6  # numbers of an accessor of which nothing is in the file
 _MOST_IN_ALL = 10**8  # numbers of all that is read, the same ones again if they are asked for again
-_SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*:")
 
 
 @dataclass
@@ -181,7 +179,7 @@ class GltfFile:
 
     def _beside(self, uri: str, number: Any) -> bytes:
         """The file of that name in the folder of this one. Raises InputError for a name that leads out of it."""
-        found = _within(self.path.parent, unquote(uri))
+        found = within(self.path.parent, unquote(uri))
         if found is None:
             raise self.fail(
                 f"buffer {number} is to be read from {uri[:80]!r}, which is no file in this one's folder or below: copy"
@@ -199,16 +197,6 @@ class GltfFile:
             return base64.b64decode(unquote(uri.partition(",")[2]), validate=True)
         except (binascii.Error, ValueError):
             raise self.fail(f"buffer {number} is not in base 64") from None
-
-
-def _within(folder: Path, name: str) -> Path | None:
-    """The file of that name, there or not, if it lies in the folder or below, links followed; otherwise None."""
-    try:
-        found = (folder / name).resolve()
-        inside = found.is_relative_to(folder.resolve()) and (found.is_file() or not found.exists())
-    except (OSError, ValueError, RuntimeError):  # a name that no file can have, a link to itself
-        return None
-    return found if inside and not _SCHEME.match(name) else None
 
 
 def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes | None]:

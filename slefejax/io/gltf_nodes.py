@@ -9,6 +9,7 @@ import numpy as np
 
 from slefejax.io.gltf_extensions import extension_of
 from slefejax.io.gltf_file import GltfFile
+from slefejax.late import one_at_a_time
 from slefejax.rig import transform_of, transform_parts
 
 _MOST_NODES = 20_000
@@ -140,7 +141,8 @@ def placements(file: GltfFile, number: int, notes: list[str]) -> np.ndarray | No
         lengths = np.linalg.norm(parts["ROTATION"], axis=1)
         if not np.all(lengths > 0):
             raise file.fail(f"{what}: rotation {np.flatnonzero(~(lengths > 0))[0]} is a quaternion of no length")
-        from scipy.spatial.transform import Rotation  # slow to import
+        with one_at_a_time:
+            from scipy.spatial.transform import Rotation  # slow to import
 
         found[:, :3, :3] = Rotation.from_quat(parts["ROTATION"]).as_matrix()
     found[:, :3, :3] *= parts.get("SCALE", np.ones((count, 3)))[:, None]

@@ -13,6 +13,7 @@ made of a control mesh takes a few hundred bytes a corner, so there are at most 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -23,6 +24,7 @@ LARGEST_TEXT = 1 << 28
 MEMORY_A_BYTE = 48  # an object of Python's has about as many bytes, and takes two characters to write
 MOST_NUMBERS = 2 * 10**8  # of an array that a file does not write out: 1.6 GB, four million bicubic patches
 MOST_CORNERS = 16 * 10**6  # four million quads
+_SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*:")
 
 
 def check_size(path: Path, size: int, largest: int = LARGEST_FILE) -> None:
@@ -66,3 +68,13 @@ def check_spline(name: str, counts: Sequence[int], degrees: Sequence[int]) -> No
     for points, count in zip(along, counts, strict=True):
         check_numbers(name, "how Bézier points are made of its control points", points * count)
     check_numbers(name, "its Bézier patches", 4 * along[0] * along[1])
+
+
+def within(folder: Path, name: str) -> Path | None:
+    """The file of that name, there or not, if it lies in the folder or below, links followed; otherwise None."""
+    try:
+        found = (folder / name).resolve()
+        inside = found.is_relative_to(folder.resolve()) and (found.is_file() or not found.exists())
+    except (OSError, ValueError, RuntimeError):  # a name that no file can have, a link to itself
+        return None
+    return found if inside and not _SCHEME.match(name) else None

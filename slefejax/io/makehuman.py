@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from slefejax.arguments import whole_numbers
-from slefejax.errors import InputError
+from slefejax.errors import InputError, naming
 from slefejax.io.bvh import Bvh, read_bvh
 from slefejax.io.content import Content, read_bytes
 from slefejax.io.limits import LARGEST_TEXT, check_numbers
@@ -78,10 +78,8 @@ def _skeleton(path: Path, vertices: np.ndarray) -> tuple[Skeleton, np.ndarray]:
         heads[number[name]] = places[head]
     bind = np.tile(np.eye(4), (len(bones), 1, 1))
     bind[:, :3, 3] = heads
-    try:
+    with naming(path):
         return Skeleton.of(list(bones), parents, bind), heads
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def _mean(path: Path, name: str, numbers: Any, vertices: np.ndarray) -> np.ndarray:
@@ -124,10 +122,8 @@ def _padded(
     check_numbers(path, f"{most} bones for each of {count} vertices", count * most)
     indices, shares = np.zeros((count, most), np.int64), np.zeros((count, most))
     indices[vertex, slot], shares[vertex, slot] = bone, weight
-    try:
+    with naming(path):
         return Influences.of(indices, shares, len(skeleton.names))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def _target(path: Path, count: int) -> Key:

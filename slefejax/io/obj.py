@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from slefejax.arguments import no_such
-from slefejax.errors import InputError
+from slefejax.errors import InputError, naming
 from slefejax.io.content import Y_UP, Content, read_bytes
 from slefejax.io.limits import LARGEST_TEXT
 from slefejax.io.numbers import lines_of, parse_real, parse_whole, words_before
@@ -206,7 +206,7 @@ def _mesh(reader: _Reader) -> Mesh:
         reader.line = reader.lines[int(np.searchsorted(np.cumsum(sizes), beyond[0], side="right"))]
         what = f"the face names vertex {corners[beyond[0]] + 1}, but there are {reader.vertex_count}"
         raise reader.fail(f"{what}: is the file complete?")
-    try:
+    with naming(reader.path):
         mesh = Mesh.packed(
             np.array(reader.coordinates).reshape(-1, 3),
             corners,
@@ -217,8 +217,6 @@ def _mesh(reader: _Reader) -> Mesh:
             points=np.array(reader.points, np.int64),
             point_sharpness=np.array(reader.point_sharpness),
         )
-    except InputError as error:
-        raise InputError(f"{reader.path}: {error}") from None
     # creases of other groups are not this mesh's
     return mesh if reader.wanted is None else mesh.keep(np.ones(mesh.face_count, bool))
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from slefejax.errors import InputError
 from slefejax.io.content import Content, read_bytes
-from slefejax.io.limits import LARGEST_TEXT, check_count, check_size
+from slefejax.io.limits import LARGEST_TEXT, check_count, check_size, within
 from slefejax.mesh import Mesh
 from slefejax.rig import Motion, Pose, Rig, Skeleton
 from slefejax.skinning import Influences, Key, ShapeKeys
@@ -52,7 +52,7 @@ def read_pair(path: Path) -> Content:
         joints = [(str(joint["name"]), int(joint["parent"])) for joint in names.get("joints", [])]
         keys = [(str(key["name"]), tuple(float(p) for p in key.get("places", (1.0,)))) for key in names.get("keys", [])]
         up, rate = tuple(float(x) for x in names.get("up", (0, 0, 1))), float(names.get("rate", 24.0))
-        arrays_at = Path(str(names["arrays"]))
+        arrays_at = str(names["arrays"])
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
         raise InputError(
             f"{path} is none of a pair that can be read: it needs 'format': '{FORMAT}', 'version': {VERSION}, 'arrays'"
@@ -60,8 +60,11 @@ def read_pair(path: Path) -> Content:
         ) from None
     if len(up) != 3 or not np.isfinite([*up, rate]).all() or not np.any(up) or rate <= 0:
         raise InputError(f"{path}: up must be a direction and rate a positive number")
-    if arrays_at.is_absolute() or ".." in arrays_at.parts:
-        raise InputError(f"{path}: its arrays are outside of its folder ({str(arrays_at)[:60]}): put them beside it")
+    if within(path.parent, arrays_at) is None:
+        raise InputError(
+            f"{path}: its arrays are to be read from {arrays_at[:80]!r}, which is no file in its folder or below: put"
+            " them beside it"
+        )
     other = path.parent / arrays_at
     arrays = _Arrays(other, _loaded(other))
     try:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int
 
-from slefejax.errors import InputError
+from slefejax.errors import InputError, naming
 from slefejax.io.content import Content, read_bytes
 from slefejax.io.limits import LARGEST_TEXT
 from slefejax.io.ply_file import Column, read_elements
@@ -39,10 +39,8 @@ def read_ply(path: Path) -> Content:
     if "tristrips" in found:
         triangles, more = _triangles(*_vertices(path, "tristrips", found["tristrips"]))
         corners, sizes, notes = [*corners, triangles.ravel()], [*sizes, np.full(len(triangles), 3)], notes + more
-    try:
+    with naming(path):
         return Content(mesh=Mesh.packed(points, np.concatenate(corners), np.concatenate(sizes)), notes=notes)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def _vertices(path: Path, element: str, columns: dict[str, Column]) -> tuple[np.ndarray, np.ndarray]:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from slefejax.errors import InputError
+from slefejax.errors import InputError, naming
 from slefejax.io.content import Content, Spline, joined, probe, read_bytes
 from slefejax.io.limits import check_numbers
 from slefejax.io.rhino_blocks import Blocks
@@ -81,7 +81,8 @@ class _Shapes:
 
     @staticmethod
     def _made(shape: Any, name: str) -> list[Mesh | Spline | str]:
-        import rhino3dm
+        with one_at_a_time:
+            import rhino3dm
 
         if isinstance(shape, rhino3dm.Extrusion):
             shape = shape.ToBrep(True)
@@ -96,11 +97,8 @@ class _Shapes:
 
 
 def _placed_mesh(mesh: Mesh, place: Float[np.ndarray, "4 4"]) -> Mesh:
-    vertices = mesh.vertices @ place[:3, :3].T + place[:3, 3]
-    if not _mirrors(place):
-        return replace(mesh, vertices=vertices)
-    first, last = mesh.offsets[:-1][mesh.face], mesh.offsets[1:][mesh.face] - 1
-    return replace(mesh, vertices=vertices, corners=mesh.corners[first + last - np.arange(len(mesh.corners))])
+    moved = replace(mesh, vertices=mesh.vertices @ place[:3, :3].T + place[:3, 3])
+    return moved.turned() if _mirrors(place) else moved
 
 
 def _placed_spline(spline: Spline, place: Float[np.ndarray, "4 4"]) -> Spline:
@@ -147,7 +145,5 @@ def _mesh(mesh: Any, name: str) -> Mesh:
     vertices = [(p.X, p.Y, p.Z) for p in (mesh.Vertices.Point3dAt(k) for k in range(len(mesh.Vertices)))]
     faces = [mesh.Faces[k] for k in range(mesh.Faces.Count)]
     faces = [face[:3] if len(face) == 4 and face[2] == face[3] else face for face in faces]
-    try:
+    with naming(name):
         return Mesh.of(np.array(vertices), faces)
-    except InputError as error:
-        raise InputError(f"{name}: {error}") from None

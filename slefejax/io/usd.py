@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from slefejax.errors import InputError
+from slefejax.errors import InputError, naming
 from slefejax.io.content import Y_UP, Z_UP, Content, Spline, joined
 from slefejax.io.probe import said_by_usd
 from slefejax.io.usd_left import LeftOut, sampled_note
@@ -33,9 +33,10 @@ def read_usd(path: Path) -> Content:
     """
     library, stage = opened(path)
     try:
-        return _Reader(path, library, stage).content()
-    except InputError as error:
-        raise InputError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
+        with naming(path):
+            return _Reader(path, library, stage).content()
+    except InputError:
+        raise
     except (library.tf.ErrorException, RuntimeError, TypeError, ValueError, OverflowError) as error:
         # a stage is whatever a file says; the library finds out when it is asked
         raise InputError(f"{path} contradicts itself: {said_by_usd(error)}") from None

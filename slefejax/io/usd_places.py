@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from slefejax.io.usd_library import Library
-from slefejax.rig import transform_parts
+from slefejax.late import one_at_a_time
+from slefejax.rig import transform_of, transform_parts
 
 _MOST_PIECES = 1024  # between two samples of a transform
 _NEAR = 1e-5  # of the largest number of a matrix
@@ -111,7 +112,8 @@ class Places:
 
     def _straight(self, prim: Any, start: float, end: float) -> bool:
         """Whether translation and scale go straight between two times, and the rotation along an arc."""
-        from scipy.spatial.transform import Rotation  # loaded already, by transform_parts
+        with one_at_a_time:
+            from scipy.spatial.transform import Rotation  # slow to import
 
         ends = [self.matrix(prim, self.library.usd.TimeCode(time)) for time in (start, end)]
         (move, turn, scale), (to_move, to_turn, to_scale) = (transform_parts(own) for own in ends)
@@ -119,10 +121,8 @@ class Places:
         arc = (rotation.inv() * to_rotation).as_rotvec()
         for share in (0.25, 0.5, 0.75):
             wanted = self.matrix(prim, self.library.usd.TimeCode(start + share * (end - start)))
-            found = np.eye(4)
-            turned = (rotation * Rotation.from_rotvec(share * arc)).as_matrix()
-            found[:3, :3] = turned * ((1 - share) * scale + share * to_scale)
-            found[:3, 3] = (1 - share) * move + share * to_move
+            turned = (rotation * Rotation.from_rotvec(share * arc)).as_quat(scalar_first=True)
+            found = transform_of((1 - share) * move + share * to_move, turned, (1 - share) * scale + share * to_scale)
             if not np.abs(found - wanted).max() <= _NEAR * np.abs(ends).max():
                 return False
         return True

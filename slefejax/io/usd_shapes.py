@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
-from slefejax.errors import InputError
+from slefejax.errors import InputError, naming
 from slefejax.io.content import Spline
 from slefejax.mesh import Mesh
 
@@ -39,28 +39,18 @@ class Shapes:
             return None
         if np.any(sizes < 0) or sizes.sum() != len(corners):
             raise InputError(f"{name} lists {len(corners)} corners, but its faces have {sizes.sum()}")
-        if self._turned(shape, place) != mirrored:
-            corners = _reversed(corners, sizes)
         pairs, sharpness = self._creases(shape, name)
-        known = _are_edges(pairs, corners, sizes, len(vertices))
-        if not known.all():
-            first, count = pairs[np.argmin(known)], np.count_nonzero(~known)
-            self.notes.append(
-                f"{name}: {count} of {len(pairs)} creases join vertices that share no edge, and were left out"
-                f" (the first joins {first[0]} and {first[1]}, counted from 0)"
-            )
-        try:
+        with naming(name):
             own = Mesh.packed(
                 vertices,
                 corners,
                 sizes,
-                creases=pairs[known],
-                crease_sharpness=sharpness[known],
+                creases=pairs,
+                crease_sharpness=sharpness,
                 points=self._array(shape.GetCornerIndicesAttr(), np.int64),
                 point_sharpness=self._array(shape.GetCornerSharpnessesAttr(), np.float64),
             )
-        except InputError as error:
-            raise InputError(f"{name}: {error}") from None
+        own = self._with_edges(own.turned() if self._turned(shape, place) != mirrored else own, name)
         left = self._without_holes(own, shape, name)
         if left is None:
             return None
@@ -107,6 +97,18 @@ class Shapes:
         """Whether the front is on the other side: listed the other way round, or mirrored, but not both."""
         return (self._get(shape.GetOrientationAttr()) == "leftHanded") != (np.linalg.det(place[:3, :3]) < 0)
 
+    def _with_edges(self, mesh: Mesh, name: str) -> Mesh:
+        """Without creases that are no edges."""
+        known = mesh.edge_between(mesh.creases) >= 0
+        if known.all():
+            return mesh
+        first, count = mesh.creases[np.argmin(known)], np.count_nonzero(~known)
+        self.notes.append(
+            f"{name}: {count} of {len(known)} creases join vertices that share no edge, and were left out"
+            f" (the first joins {first[0]} and {first[1]}, counted from 0)"
+        )
+        return replace(mesh, creases=mesh.creases[known], crease_sharpness=mesh.crease_sharpness[known])
+
     def _without_holes(self, own: Mesh, mesh: Any, name: str) -> Mesh | None:
         holes = self._array(mesh.GetHoleIndicesAttr(), np.int64)
         holes = np.unique(holes[(holes >= 0) & (holes < own.face_count)])
@@ -147,26 +149,3 @@ class Shapes:
     def _bounds(self, attribute: Any) -> tuple[float, float] | None:
         value = self._get(attribute)
         return None if value is None or not value[0] < value[1] else (float(value[0]), float(value[1]))
-
-
-def _are_edges(
-    pairs: Int[np.ndarray, "pairs 2"], corners: Int[np.ndarray, "corners"], sizes: Int[np.ndarray, "faces"], count: int
-) -> Bool[np.ndarray, "pairs"]:
-    """Which pairs of vertices are edges of faces. True too for vertices that do not exist, which are refused later."""
-    if not len(pairs):
-        return np.zeros(0, bool)
-    following = np.arange(1, len(corners) + 1)
-    ends = np.cumsum(sizes)[sizes > 0]
-    following[ends - 1] = ends - sizes[sizes > 0]
-    edges = np.sort(np.stack([corners, corners[following]], axis=1), axis=1)
-    wanted = np.sort(pairs, axis=1)
-    beyond = np.any((pairs < 0) | (pairs >= count), axis=1)
-    return beyond | np.isin(wanted @ [count, 1], edges @ [count, 1])
-
-
-def _reversed(corners: Int[np.ndarray, "corners"], sizes: Int[np.ndarray, "faces"]) -> Int[np.ndarray, "corners"]:
-    """Every face the other way round, beginning with the same vertex."""
-    ends = np.cumsum(sizes)
-    starts = np.repeat(ends - sizes, sizes)
-    place = np.arange(len(corners)) - starts
-    return corners[starts + (np.repeat(sizes, sizes) - place) % np.repeat(sizes, sizes)]

@@ -14,10 +14,9 @@ an edge would have four faces, a vertex several fans. So vertices become one as 
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
 
 from slefejax.defects import find_defects
-from slefejax.mesh import Mesh
+from slefejax.mesh import Mesh, connected
 
 _EQUAL = 1e-6  # radians between faces that lie on each other
 
@@ -37,7 +36,7 @@ def welded_soundly(mesh: Mesh, own: np.ndarray) -> tuple[np.ndarray, np.ndarray,
     # of two half-edges that meet, each begins where the other one ends
     follow = mesh.next_corner
     pairs = [(one, follow[other]), (other, follow[one]), _chained(own)]
-    corners = _groups(len(mesh.corners), *(np.concatenate(part) for part in zip(*pairs, strict=True)))
+    corners = connected(len(mesh.corners), *(np.concatenate(part) for part in zip(*pairs, strict=True)))[1]
     first = np.unique(corners, return_index=True)[1]
     # numbered as before: by vertex, then by the corner that comes first
     order = np.lexsort((first, mesh.corners[first]))
@@ -67,7 +66,7 @@ def _neighbours(mesh: Mesh, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     take(*_twos(left, mesh.edge))
     take(*_twos(left, mesh.edge, np.minimum(own, ends), np.maximum(own, ends)))
-    take(*_twos(left, mesh.edge, _groups(mesh.face_count, mesh.face[one], mesh.face[other])[mesh.face]))
+    take(*_twos(left, mesh.edge, connected(mesh.face_count, mesh.face[one], mesh.face[other])[1][mesh.face]))
     take(*_twos(left, mesh.edge, copy[mesh.face]))
     take(*_around(mesh, left))
     return one, other
@@ -115,11 +114,3 @@ def _chained(own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     order = np.argsort(own, kind="stable")
     same = own[order[1:]] == own[order[:-1]]
     return order[:-1][same], order[1:][same]
-
-
-def _groups(count: int, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """The number of the group of each of so many things, of which these pairs belong together."""
-    from scipy.sparse.csgraph import connected_components  # slow to import
-
-    graph = coo_array((np.ones(len(one), bool), (one, other)), (count, count))
-    return connected_components(graph, directed=False)[1]
