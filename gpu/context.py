@@ -34,6 +34,15 @@ class Device:
                 "the OpenGL context belongs to another thread: open the device and draw in one and the same thread"
             )
 
+    def collect(self) -> None:
+        """Free what belongs to renderers that nobody holds any more."""
+        self.home.use()  # moderngl binds the last framebuffer again, which may be one of those
+        waiting = self.context.objects
+        while waiting:
+            thing = waiting.popleft()
+            if hasattr(thing, "release"):  # it has none if it was released before
+                thing.release()
+
     def check_error(self, doing: str) -> None:
         """Raise if OpenGL has recorded an error since the last look."""
         error = self.context.error
@@ -66,9 +75,12 @@ def _create_context() -> Any:
     reasons = []
     for extra in attempts:
         try:
-            return moderngl.create_context(require=OPENGL, standalone=True, backend="egl", **extra)  # type: ignore[arg-type]
+            context = moderngl.create_context(require=OPENGL, standalone=True, backend="egl", **extra)  # type: ignore[arg-type]
         except Exception as error:  # moderngl and glcontext raise bare Exception
             reasons.append(str(error).strip().splitlines()[0])
+        else:
+            context.gc_mode = "context_gc"  # what Python frees, in whatever thread, waits for ``Device.collect``
+            return context
     raise NoOpenGLError(
         f"no OpenGL device with version 4.3 was found ({reasons[0]}): install a driver, or a software OpenGL with"
         f" 'apt-get install {PACKAGES}'"

@@ -89,6 +89,7 @@ class Renderer:
         check_spacing(spacing)
         self.device, self.spacing = device or open_device(), spacing
         self.device.check_thread()
+        self.device.collect()
         self._sent, self._to_world = _checked(patches)
         control, self._count = self._sent, len(self._sent)
         self._shape = (control.shape[1], control.shape[2], control.shape[3])
@@ -178,7 +179,10 @@ class Renderer:
         return self._captured(view, *self._parts(view, inner, outer))
 
     def release(self) -> None:
-        """Free what lies on the device; the renderer cannot draw any more."""
+        """Free what lies on the device; the renderer cannot draw any more.
+
+        What a renderer that nobody holds any more has left is freed when the next one is made.
+        """
         self._release_arrays()
         self._control.release()
         if self._owners is not None:

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import gc
 import threading
+import weakref
 
 import numpy as np
 import pytest
@@ -313,3 +315,17 @@ def test_another_thread_is_refused(device, gpu, rng):
     thread.join()
     assert caught
     assert "another thread" in caught[0]
+
+
+def test_renderers_that_nobody_holds_are_freed(device, gpu, teapot, main_view):
+    """Otherwise a loop over scenes keeps every picture that it ever drew into."""
+    levels = np.full((32, 2), 4), np.full((32, 4), 4)
+    old = gpu.Renderer(teapot.patches())
+    old.draw(main_view, *levels)
+    picture = weakref.ref(old._target[1].color_attachments[0])
+    assert picture() is not None
+    del old
+    gpu.Renderer(teapot.patches()).draw(main_view, *levels)
+    gc.collect()
+    gpu.Renderer(teapot.patches())
+    assert picture() is None

@@ -406,3 +406,16 @@ def test_deep_stages(tmp_path):
     text = xform("top", slide + "\n" + 'def Xform "a" {\n' * 400 + quad("q") + "}\n" * 400)
     scene = load(write(tmp_path, "a.usda", usda(text)))
     np.testing.assert_allclose(scene.vertices(10.0)[0], [0, 5, 0], atol=1e-15)
+
+
+def test_a_file_that_was_changed_is_read_again(tmp_path):
+    """While another stage, or the traceback of an error, still holds what it was."""
+    pxr = pytest.importorskip("pxr.Usd")
+    path = write(tmp_path, "a.usda", nurbs_usd())
+    held = pxr.Stage.Open(str(path))
+    before = load(path).patches()
+    path.write_text(path.read_text().replace("(2, 3, 6)", "(2, 3, 9)"))
+    after = load(path).patches()
+    assert held is not None
+    assert before.max() == 6
+    assert after.max() == 9

@@ -74,7 +74,8 @@ def within(folder: Path, name: str) -> Path | None:
     """The file of that name, there or not, if it lies in the folder or below, links followed; otherwise None."""
     try:
         found = (folder / name).resolve()
-        inside = found.is_relative_to(folder.resolve()) and (found.is_file() or not found.exists())
+        there = found.is_file() or not (found.exists() or found.is_symlink())  # a link to itself is there, and no file
+        inside = there and found.is_relative_to(folder.resolve())
     except (OSError, ValueError, RuntimeError):  # a name that no file can have, a link to itself
         return None
     return found if inside and not _SCHEME.match(name) else None

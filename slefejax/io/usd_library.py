@@ -16,6 +16,7 @@ from slefejax.late import one_at_a_time
 class Library:
     """The modules of usd-core; its stubs know little of them."""
 
+    sdf: Any
     tf: Any
     usd: Any
     geometry: Any
@@ -26,10 +27,10 @@ class Library:
         """Raises InputError where usd-core is not installed."""
         with one_at_a_time:
             try:
-                from pxr import Tf, Usd, UsdGeom, UsdSkel
+                from pxr import Sdf, Tf, Usd, UsdGeom, UsdSkel
             except ImportError:
                 raise InputError(f"{path}: to read USD, install usd-core (pip install 'slefejax[usd]')") from None
-        return Library(Tf, Usd, UsdGeom, UsdSkel)
+        return Library(Sdf, Tf, Usd, UsdGeom, UsdSkel)
 
 
 def opened(path: Path) -> tuple[Library, Any]:
@@ -39,9 +40,19 @@ def opened(path: Path) -> tuple[Library, Any]:
     if not data.startswith(b"#usda") or b"@" in data:  # binary, or it may name others that are
         probe("usd", path)
     try:
-        return library, library.usd.Stage.Open(str(path))
+        return library, _as_on_disk(library, path)
     except library.tf.ErrorException as error:
         raise InputError(f"{path} is no USD file that can be read: {said_by_usd(error)}") from None
+
+
+def _as_on_disk(library: Library, path: Path) -> Any:
+    """The stage of a file. What some other stage still holds is read again: it may be older than the file."""
+    held = {layer.identifier for layer in library.sdf.Layer.GetLoadedLayers() if not layer.anonymous}
+    stage = library.usd.Stage.Open(str(path))
+    for layer in stage.GetUsedLayers():
+        if layer.identifier in held:
+            layer.Reload(force=True)
+    return stage
 
 
 def composition_notes(stage: Any) -> list[str]:
