@@ -22,6 +22,7 @@ from slefejax.experiments.store import Row, Run, digest, write_csv
 from slefejax.figures.animate import write_film, write_timeline, write_work
 from slefejax.figures.error_image import write_error_image
 from slefejax.gpu import Device, Renderer, open_device
+from slefejax.methods import Certified, Options, Slefe
 from slefejax.tessellator import triangle_counts
 
 _LOOKED_AT = 4  # poses that the camera frames
@@ -82,7 +83,7 @@ class Animate:
             out = run.finish(rows, record)
         title = f"{scene.name}: {len(scene.patches()):,} patches in {len(rows)} frames at {self.camera.size}"
         notes = (*scene.notes, *frames.notes(scene), *(f"left out: {what}" for what in left_out))
-        if self.prediction.method == "certified" and self.spacing != "equal":
+        if isinstance(session.request.method, Certified) and self.spacing != "equal":
             notes += ("levels with fractional spacing are not proved: the certificate is for equal spacing",)
         more = (("where the time of a frame goes, in milliseconds, and how many frames a second that makes", modes),)
         return Report(scene.name, out, rows, title, notes, {"modes": modes}, self.output.json, more=more, shown=_SHOWN)
@@ -159,9 +160,9 @@ class _Film:
             changed = change_of_levels(before, own) | moves_of_pixels(own.patches, view, seen, other)
         return {
             "time": float(self.frames.times[frame]),
-            "method": self.options.prediction.method,
+            "method": self.session.request.name,
             "spacing": self.options.spacing,
-            "proved": self.options.prediction.method == "certified" and self.options.spacing == "equal",
+            "proved": isinstance(self.session.request.method, Certified) and self.options.spacing == "equal",
             "patches": len(own.factor),
             "visible_patches": int(np.sum(own.factor > 0)),
             "sum_of_factors": float(own.factor.sum()),
@@ -177,13 +178,12 @@ class _Film:
         """How long frames take if the pose changes with each of them, 33 times a second, or never."""
         if not self.options.seconds:
             return []
-        methods = dict.fromkeys((self.options.prediction.method, "slefe"))
+        own = self.options.prediction.arguments()
+        estimate: Options = {**own, "method": Slefe()}
+        every: list[Options] = [own] if isinstance(self.session.request.method, Slefe) else [own, estimate]
         rows = []
-        with progress("modes", len(MODES) * len(methods)) as show:
-            for method in methods:
-                arguments = {**self.options.prediction.arguments(), "method": method}
-                if method == "slefe":
-                    arguments |= {"anisotropic": False, "verify": False, "setting": None}
+        with progress("modes", len(MODES) * len(every)) as show:
+            for arguments in every:
                 session = Session(self.scene, deform=self.options.loading.deformation(), **arguments)
                 for mode in MODES:
                     show(len(rows), mode)

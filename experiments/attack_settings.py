@@ -14,6 +14,7 @@ import numpy as np
 from slefejax import Camera, Factors, InputError, View, tessellation_factors
 from slefejax.experiments.attack_judge import Look
 from slefejax.experiments.attack_views import view_of
+from slefejax.methods import Certified
 
 
 @dataclass(frozen=True)
@@ -97,12 +98,19 @@ def predicted(
     edge_numbers: np.ndarray | None = None,
 ) -> Factors | None:
     """What is claimed, or None where it is refused in words. Levels are asked for where edges are given."""
-    options = {"tolerance": tolerance, "depth_tolerance": depth_tolerance, "edge_numbers": edge_numbers}
+    method = Certified(**setting.options)
     try:
         with setting.precision():
             if setting.traced:
                 return _traced(patches, look, setting, tolerance)
-            found = tessellation_factors(patches, view_of(look), **options, **setting.options)
+            found = tessellation_factors(
+                patches,
+                view_of(look),
+                method,
+                tolerance=tolerance,
+                depth_tolerance=depth_tolerance,
+                edge_numbers=edge_numbers,
+            )
             if edge_numbers is not None:
                 _ = found.inner
             return found
@@ -113,18 +121,16 @@ def predicted(
 def _traced(patches: np.ndarray, look: Look, setting: Setting, tolerance: float) -> Factors | None:
     """Real factors from inside of jit, where what is refused elsewhere is not a number."""
     numbers = [np.asarray(x, np.float64) for x in (*look[:6], *look[7:])]
-    factor = _program(look.perspective, tuple(setting.options.items()))(patches, numbers, tolerance)
+    factor = _program(look.perspective, Certified(**setting.options))(patches, numbers, tolerance)
     return Factors(factor) if np.isfinite(factor).all() else None
 
 
 @cache
-def _program(perspective: bool, options: tuple[tuple[str, Any], ...]) -> Callable[..., Any]:
+def _program(perspective: bool, method: Certified) -> Callable[..., Any]:
     @jax.jit
     def factor(patches: Any, numbers: list[Any], tolerance: Any) -> Any:
         *camera, width, height = numbers
         make = Camera.look_at if perspective else Camera.orthographic
-        return tessellation_factors(
-            patches, View(make(*camera), width, height), tolerance=tolerance, **dict(options)
-        ).factor
+        return tessellation_factors(patches, View(make(*camera), width, height), method, tolerance=tolerance).factor
 
     return factor

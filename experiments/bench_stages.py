@@ -15,16 +15,18 @@ from slefejax import Camera, Scene, View, layout, load, tessellation_factors, wo
 from slefejax.error import pixel_error
 from slefejax.estimate import Boxes
 from slefejax.experiments import bench_peers as peers
-from slefejax.factors import view_pass
 from slefejax.gpu import Device, Renderer
-from slefejax.projection import Projection, line_of_sight
+from slefejax.kernel import Kernel, Prepared, Tolerances, view_pass
+from slefejax.methods import Certified, Slefe
+from slefejax.packed import Packed, pack
+from slefejax.projection import Projection
 from slefejax.skinning import linear_blend
 from slefejax.slefe import slefe_table
 from slefejax.slefe_tables import build_table
 
 SEGMENTS = 3
 TOLERANCE = 0.5
-_PAIR = (SEGMENTS, SEGMENTS)
+_ESTIMATE = Slefe(SEGMENTS)
 _MOST_SEARCHED = 2000  # patches
 _SHAKEN = 0.02  # of the teapot's coordinates, so that no two patches are the same
 _WHOLE = 1e-3  # relative; single precision loses up to that in differences of positions on the screen
@@ -68,19 +70,23 @@ class Setting:
         return View(Camera.look_at((4.5, -6.0, 4.0), (0.0, 0.0, 1.2)), 1440, 900)
 
     @cached_property
-    def packed(self) -> Any:
+    def packed(self) -> Packed:
         """The control points as the kernels want them."""
-        return layout.pack(self.patches)
+        return pack(self.patches)
 
     @cached_property
     def projection(self) -> Projection:
         """Of the view, relative to a point near the patches."""
-        return Projection.of(self.view, self.dtype, line_of_sight(self.view, self.packed))
+        return self.packed.placed(self.view)[1]
 
     @cached_property
-    def boxes(self) -> Boxes:
-        """Slefe boxes."""
-        return jax.block_until_ready(Boxes.of(self.packed, self.projection.origin, _PAIR))
+    def boxes(self) -> Prepared:
+        """With slefe boxes."""
+        return Prepared(self.packed, jax.block_until_ready(self.new_boxes()))
+
+    def new_boxes(self) -> Boxes:
+        """Slefe boxes, made anew."""
+        return Boxes.of(self.packed.chunks, self.projection.origin, (SEGMENTS, SEGMENTS))
 
     @cached_property
     def walker(self) -> Scene:
@@ -94,12 +100,11 @@ class Setting:
         patches = self.patches.astype(np.float64)
         return Renderer(patches, self.device), self.view, tessellation_factors(patches, self.view, "slefe")
 
-    def seen(self, method: str, fineness: Any, boxes: Boxes | None = None) -> Callable[[], Any]:
+    def seen(self, method: Kernel, prepared: Prepared | None = None) -> Callable[[], Any]:
         """The view pass of a method."""
-        number = jnp.asarray(TOLERANCE, self.dtype)
-        scales = (number, None, jnp.asarray(1.0, self.dtype), None) if method == "slefe" else (number, None, None)
-        given = (self.packed, None, None) if boxes is None else (None, boxes.lower, boxes.upper)
-        return lambda: view_pass(given, self.projection, scales, method, fineness)
+        given, projection = (prepared or Prepared(self.packed)).seen(self.view)
+        numbers = method.numbers(Tolerances(TOLERANCE), self.dtype)
+        return lambda: view_pass(given, projection, *numbers)
 
 
 def table(_: Setting) -> Work:
@@ -151,7 +156,7 @@ def pose_pass(at: Setting) -> Work:
     origin = np.asarray(at.projection.origin)
     moved = at.patches - origin
     return Work(
-        lambda: Boxes.of(at.packed, at.projection.origin, _PAIR),
+        at.new_boxes,
         at.count,
         "patches",
         {"NumPy": lambda: peers.plain_boxes(moved, SEGMENTS)},
@@ -168,7 +173,7 @@ def from_boxes(at: Setting) -> Work:
     moved = at.patches - np.asarray(at.projection.origin)
     boxes = peers.plain_boxes(moved, SEGMENTS)
     return Work(
-        at.seen("slefe", _PAIR, at.boxes),
+        at.seen(_ESTIMATE, at.boxes),
         at.count,
         "patches",
         {"NumPy": lambda: peers.plain_factors(boxes, at.projection, TOLERANCE, SEGMENTS)},
@@ -199,38 +204,38 @@ def fused(at: Setting) -> Work:
         return np.concatenate([peers.unrolled_factors(x, at.projection, TOLERANCE, SEGMENTS) for x in pieces])
 
     own = {"NumPy": plain, "NumPy, unrolled": unrolled, "NumPy, unrolled, in chunks": chunks}
-    return Work(at.seen("slefe", _PAIR), at.count, "patches", own, lambda found: _in_order(found, at.count))
+    return Work(at.seen(_ESTIMATE), at.count, "patches", own, lambda found: _in_order(found, at.count))
 
 
 def certified(at: Setting) -> Work:
     """Control points to certified factors, two tiles."""
-    return Work(at.seen("certified", 2), at.count, "patches", {"slefe estimate": at.seen("slefe", _PAIR)})
+    return Work(at.seen(Certified()), at.count, "patches", {"slefe estimate": at.seen(_ESTIMATE)})
 
 
 def certified_one(at: Setting) -> Work:
     """The same, one tile."""
-    return Work(at.seen("certified", 1), at.count, "patches", {"slefe estimate": at.seen("slefe", _PAIR)})
+    return Work(at.seen(Certified(1)), at.count, "patches", {"slefe estimate": at.seen(_ESTIMATE)})
 
 
 def gradient(at: Setting) -> Work:
     """The gradient of the sum of the estimate's factors by all control points; its peer is the factors alone."""
-    return _gradient(at, "slefe", _PAIR)
+    return _gradient(at, _ESTIMATE)
 
 
 def certified_gradient(at: Setting) -> Work:
     """The same of certified factors."""
-    return _gradient(at, "certified", 2)
+    return _gradient(at, Certified())
 
 
-def _gradient(at: Setting, method: str, fineness: Any) -> Work:
-    number = jnp.asarray(TOLERANCE, at.dtype)
-    scales = (number, None, jnp.asarray(1.0, at.dtype), None) if method == "slefe" else (number, None, None)
+def _gradient(at: Setting, method: Kernel) -> Work:
+    numbers = method.numbers(Tolerances(TOLERANCE), at.dtype)
 
-    def total(packed: Any, projection: Projection) -> Any:
-        return view_pass((packed, None, None), projection, scales, method, fineness).sum()
+    def total(chunks: Any, projection: Projection) -> Any:
+        return view_pass((chunks, None, None), projection, *numbers).sum()
 
     compiled = jax.jit(jax.grad(total))
-    return Work(lambda: compiled(at.packed, at.projection), at.count, "patches", {"forward": at.seen(method, fineness)})
+    chunks = at.packed.chunks
+    return Work(lambda: compiled(chunks, at.projection), at.count, "patches", {"forward": at.seen(method)})
 
 
 def draw(at: Setting) -> Work:

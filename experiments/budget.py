@@ -13,12 +13,13 @@ import numpy as np
 import tyro
 
 from slefejax import Scene, View, distance_for_budget, sampled_error, tolerance_for_budget
-from slefejax.budget import Budget, moved, real_triangles
+from slefejax.budget import Budget, counted, moved
 from slefejax.errors import InputError
 from slefejax.experiments.options import LoadOptions, OutputOptions, PredictionOptions, ViewOptions, camera_record
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run
 from slefejax.figures.budget import write_budget
+from slefejax.methods import Options, name_of
 from slefejax.tessellator import HIGHEST_LEVEL
 from slefejax.view import bounding_sphere
 
@@ -59,10 +60,10 @@ class BudgetOfScene:
             notes = (*scene.notes, *_beyond(rows))
             out = run.finish(rows, {"scene": scene.name, "notes": notes})
         what = "tolerance" if self.by == "tolerance" else "distance of the camera"
-        title = f"{scene.name}: the {what} that meets a number of triangles, method {self.prediction.method}"
+        title = f"{scene.name}: the {what} that meets a number of triangles, method {name_of(self.prediction.value())}"
         return Report(scene.name, out, rows, title, notes, as_json=self.output.json)
 
-    def _options(self) -> dict[str, Any]:
+    def _options(self) -> Options:
         options = self.prediction.arguments()
         if self.by == "tolerance":
             del options["tolerance"]
@@ -91,7 +92,7 @@ class BudgetOfScene:
 
     def _curve(self, scene: Scene, view: View, rows: list[Row]) -> tuple[np.ndarray, np.ndarray]:
         """Triangles without rounding, against tolerance or distance, around what was found."""
-        options = {name: value for name, value in self._options().items() if name not in ("anisotropic", "verify")}
+        request = self.prediction.request(scene).real
         patches, sphere = jnp.asarray(scene.patches()), bounding_sphere(scene.points())
         name = "tolerance_px" if self.by == "tolerance" else "distance"
         middle = float(np.exp(np.mean(np.log([row[name] for row in rows]))))
@@ -102,8 +103,8 @@ class BudgetOfScene:
         @jax.jit
         def count(patches: Any, place: Any) -> Any:
             if self.by == "tolerance":
-                return real_triangles(patches, view, tolerance=place, **options)
-            return real_triangles(patches, moved(view, sphere, place / own), **options)
+                return counted(request.at(place), patches, view)
+            return counted(request, patches, moved(view, sphere, place / own))
 
         return places, np.array([float(count(patches, place)) for place in places])
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import asdict, dataclass, field, replace
 
 import jax
 import numpy as np
@@ -28,6 +27,9 @@ from slefejax.experiments.store import Row, Run, digest
 from slefejax.figures.certify import write_certify_figure
 from slefejax.figures.error_image import write_error_image
 from slefejax.gpu import Renderer, open_device
+from slefejax.kernel import Method
+from slefejax.methods import Certified, Slefe
+from slefejax.rules import Filip
 from slefejax.tessellator import HIGHEST_LEVEL, triangle_counts
 
 METHODS = ("certified", "slefe", "filip")
@@ -95,33 +97,25 @@ def picture_name(scene: int, method: str) -> str:
 def _predictions(scene: Scene, view: View, options: Certify) -> tuple[dict[str, Factors], dict[str, float]]:
     """Factors by every method, and the milliseconds they take once compiled; the methods take turns."""
 
-    def predict(method: str) -> Factors:
-        own: dict[str, Any] = {"segments": options.segments}
-        if method == "certified":
-            own = {"tiles": options.tiles, "verify": options.verify}
+    def predict(method: Method) -> Factors:
         factors = tessellation_factors(
-            scene.patches(), view, method, tolerance=options.tolerance, edge_numbers=scene.edge_numbers, **own
+            scene.patches(), view, method, tolerance=options.tolerance, edge_numbers=scene.edge_numbers
         )
         jax.block_until_ready(factors.factor)
         return factors
 
-    methods = [m for m in METHODS if m != "filip" or scene.patches().shape[-1] == 3]
-    factors, times = {m: predict(m) for m in methods}, {m: [] for m in methods}
+    certified = Certified(options.tiles, verify=options.verify)
+    methods: dict[str, Method] = {"certified": certified, "slefe": Slefe(options.segments), "filip": Filip()}
+    if scene.patches().shape[-1] == 4:
+        del methods["filip"]
+    factors, times = {name: predict(m) for name, m in methods.items()}, {name: [] for name in methods}
     for _ in range(_REPEATS):
-        for m in methods:
+        for name, method in methods.items():
             start = time.perf_counter()
-            predict(m)
-            times[m].append(time.perf_counter() - start)
+            predict(method)
+            times[name].append(time.perf_counter() - start)
     if options.anisotropic:
-        factors["certified"] = tessellation_factors(
-            scene.patches(),
-            view,
-            tiles=options.tiles,
-            anisotropic=True,
-            verify=options.verify,
-            tolerance=options.tolerance,
-            edge_numbers=scene.edge_numbers,
-        )
+        factors["certified"] = predict(replace(certified, anisotropic=True))
     return factors, {m: 1e3 * float(np.median(t)) for m, t in times.items()}
 
 

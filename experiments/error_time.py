@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
-from typing import Any
 
 import numpy as np
 import tyro
 
 from slefejax import Factors, Scene, View, minimal_factors, sampled_error, tessellation_factors, triangle_error
+from slefejax.arguments import no_such
 from slefejax.covering import covering_error
 from slefejax.error import drawn_error
 from slefejax.errors import InputError, naming
@@ -21,7 +22,9 @@ from slefejax.experiments.options import (
     Scenes,
     cameras_around,
     check_count,
+    columns_of,
     notes_of,
+    own_modules,
     parse_size,
 )
 from slefejax.experiments.report import Report, progress
@@ -30,35 +33,26 @@ from slefejax.figures.error_image import write_error_image
 from slefejax.figures.error_time import write_error_against_time, write_pixels_against_triangles, write_triangle_sizes
 from slefejax.figures.side_by_side import write_side_by_side
 from slefejax.gpu import GBuffer, Renderer, Triangles, open_device
+from slefejax.kernel import Method
+from slefejax.methods import Certified, Slefe, label_of, method_of
+from slefejax.rules import EdgeLength, Filip, Fixed, ScreenBox
 from slefejax.tessellator import HIGHEST_LEVEL, pieces, triangle_counts
 
 AREAS = (0.5, 5.0, 10.0, 20.0)  # square pixels; the classes of the papers
 
 
-@dataclass(frozen=True)
-class Method:
-    """A rule with its numbers; the name is the one that figures show."""
-
-    method: str
-    segments: int = 3
-    setting: float | None = None
-
-    @property
-    def name(self) -> str:
-        """Such as ``slefe m=3`` or ``screen-box 8``."""
-        if self.method == "slefe":
-            return f"slefe m={self.segments}"
-        return self.method if self.setting is None else f"{self.method} {self.setting:g}"
-
-
-METHODS = (
-    Method("certified"),
-    *(Method("slefe", segments) for segments in range(1, 7)),
-    Method("filip"),
-    Method("edge-length", setting=8.0),
-    *(Method("screen-box", setting=mu) for mu in (1.0, 2.0, 4.0, 8.0)),
-    Method("fixed", setting=16.0),
-)
+METHODS: dict[str, Method] = {
+    label_of(method): method
+    for method in (
+        Certified(),
+        *(Slefe(segments) for segments in range(1, 7)),
+        Filip(),
+        EdgeLength(8.0),
+        *(ScreenBox(mu) for mu in (1.0, 2.0, 4.0, 8.0)),
+        Fixed(16.0),
+    )
+}
+_MOST_PICTURES = 6
 PICTURES = ("certified", "slefe m=3", "filip", "edge-length 8", "screen-box 8", "fixed 16")
 
 
@@ -78,13 +72,27 @@ class ErrorTime:
     """Error in pixels that is allowed."""
     repeats: int = 5
     """Runs of each rule whose median is the time; all rules take turns."""
+    methods: tuple[str, ...] = ()
+    """Some of the rules instead of all, by the names in the table, such as "slefe m=3"; or my_module:MyMethod."""
     loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
     output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def values(self) -> dict[str, Method]:
+        """The rules by name. Raises InputError for a name that there is not, or that stands there twice."""
+        if len(set(self.methods)) < len(self.methods):
+            raise InputError("--methods names a rule twice")
+        with own_modules():
+            return {name: METHODS.get(name) or _own(name) for name in self.methods or METHODS}
+
+    def pictures(self) -> tuple[str, ...]:
+        """Those whose error images are shown side by side."""
+        return tuple(name for name in self.methods or PICTURES)[:_MOST_PICTURES]
 
     def run(self) -> Report:
         """Measure every view, tabulate, draw."""
         check_count("--cameras", self.cameras)
         check_count("--repeats", self.repeats)
+        self.values()
         if not self.scenes:
             raise InputError("name at least one scene: a file, or teapot")
         scenes = [self.loading.load(name) for name in self.scenes]
@@ -112,7 +120,7 @@ class ErrorTime:
             write_pixels_against_triangles(run.file("pixels_against_triangles.png"), rows, self.tolerance)
             write_triangle_sizes(run.file("triangle_sizes.png"), rows, AREAS)
             first = {row["method_name"]: row for row in found[0]["rows"]}
-            panels = [(first[name], run.file(picture_name(name))) for name in PICTURES]
+            panels = [(first[name], run.file(picture_name(name))) for name in self.pictures()]
             write_side_by_side(run.file("side_by_side.png"), panels, self.tolerance)
             names = " ".join(scene.name for scene in scenes)
             opengl = {"renderer": device.renderer, "version": device.version}
@@ -123,9 +131,15 @@ class ErrorTime:
         )
 
 
+def _own(name: str) -> Method:
+    if ":" not in name:
+        raise InputError(no_such("rule", name, METHODS))
+    return method_of(name)
+
+
 def picture_name(method: str) -> str:
     """File name of the error image of a rule."""
-    return f"error_{method.replace(' ', '_').replace('=', '')}.png"
+    return f"error_{re.sub('[^a-zA-Z0-9.-]+', '_', method.replace('=', ''))}.png"
 
 
 class _View:
@@ -135,6 +149,7 @@ class _View:
         self, scene: Scene, view: View, options: ErrorTime, run: Run | None, settled: Callable[[int], None]
     ) -> None:
         self.scene, self.view, self.options, self.run = scene, view, options, run
+        self.methods = options.values()
         self.patches = scene.patches()
         self.renderer = Renderer(self.patches)
         self.minimal = minimal_factors(self.patches, view, options.tolerance, progress=settled)
@@ -142,27 +157,26 @@ class _View:
 
     def rows(self, camera: int) -> list[Row]:
         """A row for every rule; run times of rules that take turns."""
-        compile_ms = {m.name: self._first_call(m) for m in METHODS}
-        predicted = {m.name: self._predict(m) for m in METHODS}
-        levels = {name: (factors.inner, factors.edges) for name, factors in predicted.items()}
+        compile_ms = {name: self._first_call(name) for name in self.methods}
+        found = {name: self._predict(name) for name in self.methods}
+        levels = {name: (factors.inner, factors.edges) for name, factors in found.items()}
         for inner, outer in levels.values():
             self.renderer.submit(self.view, inner, outer)
-        times: dict[str, list[tuple[float, float]]] = {m.name: [] for m in METHODS}
+        times: dict[str, list[tuple[float, float]]] = {name: [] for name in self.methods}
         for _ in range(self.options.repeats):
-            for m in METHODS:
-                times[m.name].append(self._timed(m, *levels[m.name]))
+            for name in self.methods:
+                times[name].append(self._timed(name, *levels[name]))
         rows = []
-        for m in METHODS:
-            predict, render = (1e3 * np.array(t) for t in zip(*times[m.name], strict=True))
+        for name, method in self.methods.items():
+            predict, render = (1e3 * np.array(t) for t in zip(*times[name], strict=True))
             rows.append(
                 {
                     "scene": self.scene.name,
                     "camera": camera,
-                    "method_name": m.name,
-                    "method": m.method,
-                    "segments": m.segments,
-                    **self._errors(m, predicted[m.name], *levels[m.name]),
-                    "compile_ms": compile_ms[m.name],
+                    "method_name": name,
+                    **columns_of(method),
+                    **self._errors(name, found[name], *levels[name]),
+                    "compile_ms": compile_ms[name],
                     "predict_ms": float(np.median(predict)),
                     "predict_spread_ms": float(np.ptp(predict)),
                     "render_ms": float(np.median(render)),
@@ -178,30 +192,35 @@ class _View:
         levels = np.where(self.minimal[:, None] > 0, finest, np.zeros(6, int))
         return self.renderer.draw(view, levels[:, :2], levels[:, 2:])
 
-    def _predict(self, m: Method) -> Factors:
-        options: dict[str, Any] = {"segments": m.segments, "tolerance": self.options.tolerance, "setting": m.setting}
-        return tessellation_factors(self.patches, self.view, m.method, edge_numbers=self.scene.edge_numbers, **options)
+    def _predict(self, name: str) -> Factors:
+        return tessellation_factors(
+            self.patches,
+            self.view,
+            self.methods[name],
+            tolerance=self.options.tolerance,
+            edge_numbers=self.scene.edge_numbers,
+        )
 
-    def _first_call(self, m: Method) -> float:
+    def _first_call(self, name: str) -> float:
         start = time.perf_counter()
-        self._predict(m)
+        self._predict(name)
         first = time.perf_counter() - start
         start = time.perf_counter()
-        self._predict(m)
+        self._predict(name)
         return 1e3 * max(0.0, first - (time.perf_counter() - start))
 
-    def _timed(self, m: Method, inner: np.ndarray, outer: np.ndarray) -> tuple[float, float]:
+    def _timed(self, name: str, inner: np.ndarray, outer: np.ndarray) -> tuple[float, float]:
         start = time.perf_counter()
-        self._predict(m)
+        self._predict(name)
         middle = time.perf_counter()
         self.renderer.submit(self.view, inner, outer)
         return middle - start, time.perf_counter() - middle
 
-    def _errors(self, m: Method, factors: Factors, inner: np.ndarray, outer: np.ndarray) -> Row:
+    def _errors(self, name: str, factors: Factors, inner: np.ndarray, outer: np.ndarray) -> Row:
         seen = self.renderer.draw(self.view, inner, outer)
         error = drawn_error(self.patches, self.view, seen)
-        if self.run is not None and m.name in PICTURES:
-            write_error_image(self.run.file(picture_name(m.name)), error)
+        if self.run is not None and name in self.options.pictures():
+            write_error_image(self.run.file(picture_name(name)), error)
         triangles = self.renderer.capture(self.view, inner, outer)
         there = self.minimal > 0
         ratio = factors.levels[there] / self.minimal[there]

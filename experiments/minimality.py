@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import tyro
 
-from slefejax import Factors, Scene, View, tessellation_factors
+from slefejax import Factors, Scene, View, pack
 from slefejax.error import SLIPPED, drawn_error, slip
 from slefejax.errors import InputError
 from slefejax.experiments.options import (
@@ -19,13 +19,17 @@ from slefejax.experiments.options import (
     ViewOptions,
     camera_record,
     check_scales,
+    columns_of,
 )
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run, digest
+from slefejax.factors import predicted
 from slefejax.figures.error_image import write_error_image
 from slefejax.figures.minimality import write_factor_map, write_minimality_figure
 from slefejax.gpu import GBuffer, Renderer, open_device
 from slefejax.gpu.renderer import check_levels
+from slefejax.kernel import Method
+from slefejax.methods import Request, Slefe, label_of
 from slefejax.tessellator import MOST_LEVEL, triangle_counts, with_pieces
 
 THRESHOLDS = (0.1, 0.5, 1.0)  # pixels; the limits of the papers' error colours
@@ -51,15 +55,17 @@ class Minimality:
         check_scales(self.scales)
         scene = self.loading.load(self.scene)
         view = self.camera.view(scene)
-        factors, times = _predict(scene, view, self.prediction)
+        request = self.prediction.request(scene)
+        factors, times = _predict(scene, view, request)
         largest = factors.scaled(max(self.scales)).levels
-        beside = None if self.prediction.method == "slefe" else _estimate(scene, view, self.prediction)
+        beside = None if isinstance(request.method, Slefe) else _estimate(scene, view, request)
         device = open_device()
         check_levels(largest)
         arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
         inputs = {"scene": digest(scene.patches().tobytes()), "opengl": device.renderer}
         with Run("minimality", arguments, self.output.out, inputs) as run:
-            sweep = _Sweep(scene, view, factors, beside, self, run, Renderer(scene.patches(), device))
+            renderer = Renderer(scene.patches(), device)
+            sweep = _Sweep(scene, view, factors, beside, self, request.method, run, renderer)
             with progress("rendering", len(self.scales)) as show:
                 scales = list(self.scales)
                 rows = run.each("scale", scales, lambda s: {**sweep.row(s), **times}, show, error_name)
@@ -73,17 +79,17 @@ class Minimality:
                 "left_out": self.prediction.left_out(scene),
             }
             out = run.finish(rows, record)
-        title = _title(scene, view, factors, self.prediction)
+        title = _title(scene, view, factors)
         extra = {"sum_of_factors": record["sum_of_factors"]}
         return Report(scene.name, out, rows, title, scene.notes, extra, self.output.json)
 
 
-def _predict(scene: Scene, view: View, options: PredictionOptions) -> tuple[Factors, dict[str, float]]:
+def _predict(scene: Scene, view: View, request: Request) -> tuple[Factors, dict[str, float]]:
     """The factors, and how long they take once compiled (median of 5, milliseconds)."""
 
     def timed() -> tuple[Factors, float]:
         start = time.perf_counter()
-        factors = tessellation_factors(scene.patches(), view, edge_numbers=scene.edge_numbers, **options.arguments())
+        factors = predicted(request, pack(scene.patches()), view, scene.edge_numbers)
         return factors, time.perf_counter() - start
 
     (factors, _), *others = [timed() for _ in range(6)]
@@ -94,10 +100,9 @@ def _predict(scene: Scene, view: View, options: PredictionOptions) -> tuple[Fact
     return factors, {"predict_ms": 1e3 * float(np.median([seconds for _, seconds in others]))}
 
 
-def _estimate(scene: Scene, view: View, options: PredictionOptions) -> Factors:
+def _estimate(scene: Scene, view: View, request: Request) -> Factors:
     """The papers' factors, to be shown beside others."""
-    own = {"segments": options.segments, "tolerance": options.tolerance, "depth_tolerance": options.depth_tolerance}
-    return tessellation_factors(scene.patches(), view, "slefe", k=options.k, edge_numbers=scene.edge_numbers, **own)
+    return predicted(Request(Slefe(), request.tolerances), pack(scene.patches()), view, scene.edge_numbers)
 
 
 @dataclass
@@ -107,6 +112,7 @@ class _Sweep:
     factors: Factors
     beside: Factors | None
     options: Minimality
+    method: Method
     run: Run
     renderer: Renderer
 
@@ -129,8 +135,7 @@ class _Sweep:
         error = drawn_error(self.scene.patches(), self.view, seen)
         write_error_image(self.run.file(error_name(scale)), error)
         return {
-            "method": self.options.prediction.method,
-            "segments": self.options.prediction.segments,
+            **columns_of(self.method),
             "patches": len(self.scene.patches()),
             "triangles": int(triangle_counts(inner, outer).sum()),
             **error_shares(error, seen),
@@ -199,10 +204,10 @@ def slips(seen: GBuffer) -> Row:
     }
 
 
-def _title(scene: Scene, view: View, factors: Factors, options: PredictionOptions) -> str:
-    total = float(np.sum(factors.factor))
-    fineness = {"certified": f", tiles {options.tiles}", "slefe": f", m = {options.segments}"}.get(options.method, "")
+def _title(scene: Scene, view: View, factors: Factors) -> str:
+    assert factors.request is not None
+    total, (method, tolerances) = float(np.sum(factors.factor)), factors.request
     return (
         f"{scene.name}: {len(scene.patches())} patches at {view.width}x{view.height},"
-        f" method {options.method}{fineness}, tolerance {options.tolerance:g} px, sum of factors {total:.3f}"
+        f" method {label_of(method)}, tolerance {tolerances.pixels:g} px, sum of factors {total:.3f}"
     )

@@ -34,7 +34,7 @@ def mode_row(mode: str, session: Session, renderer: Renderer, frames: Frames, vi
         count += 1
     total = time.perf_counter() - start
     parts = {name: spent[name] / count for name in COLUMNS}
-    return {"mode": mode, "method": session.request.method, **parts, "frames_per_second": count / total}
+    return {"mode": mode, "method": session.request.name, **parts, "frames_per_second": count / total}
 
 
 @dataclass

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import tyro
@@ -24,6 +23,7 @@ from slefejax.experiments.outlines import outlines
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run, digest, write_csv
 from slefejax.figures.optimise import write_optimise
+from slefejax.methods import Options
 from slefejax.relaxing import Descent, Relaxed
 from slefejax.tessellator import triangle_counts
 from slefejax.view import bounding_sphere, homogeneous
@@ -95,7 +95,7 @@ class Optimise:
             below = (("the surface", [surface]), *below)
         return Report(scene.name, out, rows, title, notes, more, self.output.json, more=below)
 
-    def _move(self, run: Run, scene: Scene, views: list[View], allowed: float, options: dict[str, Any]) -> Relaxed:
+    def _move(self, run: Run, scene: Scene, views: list[View], allowed: float, options: Options) -> Relaxed:
         """From where a run that was stopped had got."""
         kept, start = run.file("so_far.npz"), None
         if kept.exists():
@@ -127,7 +127,7 @@ class Optimise:
         return found
 
 
-def _counts(scene: Scene, views: list[View], options: dict[str, Any]) -> np.ndarray:
+def _counts(scene: Scene, views: list[View], options: Options) -> np.ndarray:
     """Triangles of patches, ``(views, patches)``, without rounding."""
     factors = [np.asarray(tessellation_factors(scene.patches(), view, **options).factor) for view in views]
     return 2.0 * np.square(factors)
@@ -139,7 +139,7 @@ def _row(
     changed: Scene,
     views: list[View],
     counts: tuple[np.ndarray, np.ndarray],
-    options: dict[str, Any],
+    options: Options,
 ) -> Row:
     before, after = (float(count.sum()) for count in counts)
     drawn, error = zip(*(_drawn(one, views, options) for one in (scene, changed)), strict=True)
@@ -159,7 +159,7 @@ def _row(
     }
 
 
-def _drawn(scene: Scene, views: list[View], options: dict[str, Any]) -> tuple[int, float]:
+def _drawn(scene: Scene, views: list[View], options: Options) -> tuple[int, float]:
     """Triangles with shared edges and transition rings, and the largest error of uniform grids; sums over views."""
     triangles, error = 0, 0.0
     for view in views:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,7 +16,8 @@ import tyro
 from slefejax.conversion.acc import ALPHA
 from slefejax.errors import InputError
 from slefejax.framing import clipping_planes
-from slefejax.request import Request
+from slefejax.kernel import Method
+from slefejax.methods import Options, Request, method_of, name_of
 from slefejax.rig import Deformation
 from slefejax.scene import Scene, load
 from slefejax.skinning import dual_quaternion_blend, linear_blend
@@ -167,45 +170,60 @@ class PredictionOptions:
 
     method: str = "certified"
     """How factors are predicted: certified (a bound with a proof), slefe (the papers' estimate), filip, minmax,
-    edge-length, screen-box or fixed."""
-    tiles: int = 2
-    """Of certified: pieces along each side that a patch is cut into to bound it."""
+    edge-length, screen-box or fixed; or one's own, as my_module:MyMethod."""
+    tiles: int | None = None
+    """Of certified: pieces along each side that a patch is cut into to bound it; 2 if not given."""
     anisotropic: bool = False
     """Of certified: levels that differ along u and v, where that saves triangles."""
     verify: bool = False
     """Of certified: smaller numbers are proved cell by cell, which is slower and tighter."""
-    segments: int = 3
-    """Of slefe: pieces m in each direction."""
+    segments: int | None = None
+    """Of slefe: pieces m in each direction; 3 if not given."""
     tolerance: float = 0.5
     """Error in pixels that is allowed."""
     depth_tolerance: float | None = None
     """Error in window depth (0 to 1) that is allowed; not looked at if not given."""
-    k: float = 1.0
-    """Of slefe: the constant k_m."""
+    k: float | None = None
+    """Of slefe: the constant k_m; 1 if not given."""
     setting: float | None = None
-    """Of edge-length: pixels a piece; of screen-box: mu, pixels; of fixed: the factor."""
+    """Of edge-length: pixels a piece, 8 if not given; of screen-box: mu, pixels, 1; of fixed: the factor, 16."""
     smooth: float | None = None
     """Of certified and slefe: the temperature of soft maxima, 0 to 1; exact ones if not given."""
 
-    def arguments(self) -> dict:
+    def value(self) -> Method:
+        """The method with its numbers. Raises InputError for those that it does not have."""
+        own = {"tiles": self.tiles, "segments": self.segments, "k": self.k, "setting": self.setting}
+        own |= {"smooth": self.smooth, "anisotropic": self.anisotropic or None, "verify": self.verify or None}
+        with own_modules():
+            return method_of(self.method, own)
+
+    def arguments(self) -> Options:
         """Keyword arguments for tessellation_factors."""
-        return {
-            "method": self.method,
-            "tiles": self.tiles,
-            "anisotropic": self.anisotropic,
-            "verify": self.verify,
-            "segments": self.segments,
-            "tolerance": self.tolerance,
-            "depth_tolerance": self.depth_tolerance,
-            "k": self.k,
-            "setting": self.setting,
-            "smooth": self.smooth,
-        }
+        return {"method": self.value(), "tolerance": self.tolerance, "depth_tolerance": self.depth_tolerance}
+
+    def request(self, scene: Scene) -> Request:
+        """The same as values, for the scene's patches."""
+        return Request.of(self.arguments(), scene.control.shape[3])
 
     def left_out(self, scene: Scene) -> tuple[str, ...]:
         """What is not computed because the scene has no need of it or it was not asked for; a sentence each."""
-        request = Request.of(dimension=scene.control.shape[3], **self.arguments())
-        return (*scene.left_out(), *request.left_out())
+        return (*scene.left_out(), *self.request(scene).left_out())
+
+
+def columns_of(method: Method) -> dict[str, Any]:
+    """The columns of tables that say which method it is; methods without segments have none."""
+    return {"method": name_of(method), "segments": getattr(method, "segments", float("nan"))}
+
+
+@contextmanager
+def own_modules() -> Iterator[None]:
+    """Within, modules of the folder that a command is run in can be imported: console scripts do not look there."""
+    here = str(Path.cwd())
+    sys.path.insert(0, here)
+    try:
+        yield
+    finally:
+        sys.path.remove(here)
 
 
 def option_names(command: Any) -> set[str]:

@@ -126,7 +126,7 @@ def _table(rows: list[Row]) -> str:
     if not rows:
         return ""
     table = Table(box=box.SIMPLE_HEAD, show_header=len(rows) > 1)
-    constant = {name: value for name, value in rows[0].items() if all(row[name] == value for row in rows)}
+    constant = {name: value for name, value in rows[0].items() if all(_same(row[name], value) for row in rows)}
     if len(rows) == 1:
         table.add_column()
         table.add_column()
@@ -140,8 +140,17 @@ def _table(rows: list[Row]) -> str:
         table.add_column(_heading(name), justify="left" if words else "right", no_wrap=not long)
     for row in rows[:MOST_ROWS]:
         table.add_row(*[_shown(name, row[name]) for name in columns])
-    shared = ", ".join(f"{_heading(name)} {_shown(name, value)}" for name, value in constant.items() if value != "")
+    shared = ", ".join(f"{_heading(name)} {_shown(name, value)}" for name, value in constant.items() if _says(value))
     return _rendered(table) + (f"\nin every row: {shared}" if shared else "")
+
+
+def _same(one: Any, other: Any) -> bool:
+    return one == other or not (_says(one) or _says(other))
+
+
+def _says(value: Any) -> bool:
+    """Whether there is anything to show: no text, and a number that is none, say nothing."""
+    return value != "" and not (isinstance(value, float) and np.isnan(value))
 
 
 def _rendered(table: Table) -> str:

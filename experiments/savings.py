@@ -9,6 +9,7 @@ import numpy as np
 
 from slefejax import Pose, Scene, Session, View
 from slefejax.experiments.store import Row
+from slefejax.methods import Options
 from slefejax.rig import Rig, Skeleton
 from slefejax.session import PARTS
 from slefejax.skinning import Influences
@@ -27,7 +28,8 @@ def savings(scene: Scene, view: View) -> list[Row]:
     for method in METHODS:
         plain = Session(scene, method=method)
         for what, other, options in _with(scene):
-            session = Session(other, method=method, **options)
+            asked: Options = {"method": method, **options}
+            session = Session(other, **asked)
             times = _in_turn([plain, session], view)
             rows.append({"left_out": what, "method": method, "without_ms": times[0], "with_ms": times[1]})
         times = _in_turn([plain], view)
@@ -42,9 +44,9 @@ def savings(scene: Scene, view: View) -> list[Row]:
     return rows
 
 
-def _with(scene: Scene) -> list[tuple[str, Scene, dict[str, Any]]]:
+def _with(scene: Scene) -> list[tuple[str, Scene, Options]]:
     """Scenes and options with each thing put in that this scene has none of."""
-    found: list[tuple[str, Scene, dict[str, Any]]] = [("depth widths", scene, {"depth_tolerance": _DEPTH})]
+    found: list[tuple[str, Scene, Options]] = [("depth widths", scene, {"depth_tolerance": _DEPTH})]
     if scene.control.shape[-1] == 3 and scene.rig is None:
         weighted = np.concatenate([scene.control, np.ones_like(scene.control[..., :1])], axis=3)
         found.append(("weights", replace(scene, control=weighted), {}))

@@ -19,6 +19,7 @@ from slefejax.experiments.stability_cases import FAMILIES, Case
 from slefejax.experiments.stability_rig import MEASURES
 from slefejax.experiments.store import Row, Run
 from slefejax.figures.stability import write_stability_figure
+from slefejax.methods import method_of
 from slefejax.supremum import Surface, in_batches
 from slefejax.view import homogeneous
 
@@ -167,9 +168,9 @@ def _attempt(work: Callable[[], Any]) -> Any:
 
 
 def _factors(patches: np.ndarray, case: Case, method: str) -> np.ndarray:
-    own: dict[str, Any] = {"segments": case.segments} if method == "slefe" else {}
+    value = method_of(method, {"segments": case.segments} if method == "slefe" else {})
     found = tessellation_factors(
-        patches, case.view, method, tolerance=case.tolerance, depth_tolerance=case.depth_tolerance, **own
+        patches, case.view, value, tolerance=case.tolerance, depth_tolerance=case.depth_tolerance
     )
     return np.asarray(found.factor)
 

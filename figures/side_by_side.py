@@ -18,8 +18,12 @@ def write_side_by_side(path: Path, panels: list[tuple[dict[str, Any], Path]], to
     something = np.any([np.any(image != 1.0, axis=-1) for image in images], axis=0)
     box = occupied(something)
     with mpl.rc_context(SETTINGS):
-        figure = new_figure(15, 8.6)
-        for axes, (row, _), image in zip(np.ravel(figure.subplots(2, 3)), panels, images, strict=False):
+        across, down = min(3, len(panels)), -(-len(panels) // 3)
+        figure = new_figure(15, 0.6 + 4.0 * down)
+        places = np.ravel(figure.subplots(down, across, squeeze=False))
+        for axes in places[len(panels) :]:
+            axes.set_axis_off()
+        for axes, (row, _), image in zip(places, panels, images, strict=False):
             axes.imshow(image[box], interpolation="nearest")
             share = 100 * row["share_above_0.5"]
             axes.set_title(

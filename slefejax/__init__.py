@@ -3,12 +3,13 @@
 >>> import slefejax as sj
 >>> scene = sj.load("teapot")
 >>> view = sj.View(sj.Camera.look_at((4.5, -6.0, 4.0), (0.0, 0.0, 1.2)), width=1440, height=900)
->>> factors = sj.tessellation_factors(scene.patches(), view, segments=3, tolerance=0.5)
+>>> factors = sj.tessellation_factors(scene.patches(), view, tolerance=0.5)
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from slefejax import methods
 from slefejax.bspline import bspline_slefe, bspline_slefe_boxes
 from slefejax.budget import Budget, distance_for_budget, real_triangles, tolerance_for_budget
 from slefejax.conversion.scheme import Conversion, convert
@@ -18,6 +19,7 @@ from slefejax.factors import Factors, tessellation_factors
 from slefejax.late import one_at_a_time
 from slefejax.mesh import Mesh
 from slefejax.minimal import minimal_factors, minimal_pairs
+from slefejax.packed import pack
 from slefejax.rig import Pose
 from slefejax.samples import Samples, measure_factors
 from slefejax.scene import Scene, load, save
@@ -78,8 +80,10 @@ __all__ = [
     "linear_blend",
     "load",
     "measure_factors",
+    "methods",
     "minimal_factors",
     "minimal_pairs",
+    "pack",
     "real_triangles",
     "sampled_error",
     "save",

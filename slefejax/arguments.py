@@ -61,7 +61,7 @@ def check_positive(name: str, value: Number) -> None:
     if isinstance(value, Tracer):
         return
     try:
-        fine = np.ndim(value) == 0 and bool(np.isfinite(value)) and value > 0
+        fine = np.ndim(value) == 0 and bool(np.isfinite(value)) and bool(np.asarray(value) > 0)
     except (TypeError, ValueError):
         fine = False
     if not fine:

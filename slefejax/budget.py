@@ -7,22 +7,27 @@ staircase is climbed step by step, by counts of the triangles that a tessellator
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any, NamedTuple, Unpack
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
-from slefejax.arguments import Patches, check_patches, is_whole
-from slefejax.edges import shared_edges
+from slefejax.arguments import Patches, is_whole
+from slefejax.edges import check_edge_numbers, shared_edges
 from slefejax.errors import InputError
-from slefejax.factors import Factors, tessellation_factors
+from slefejax.factors import Factors, predicted
 from slefejax.framing import clipping_planes
 from slefejax.late import one_at_a_time
+from slefejax.methods import Options, Request
+from slefejax.packed import Packed, pack
+from slefejax.rules import EdgeLength, Fixed, ScreenBox
 from slefejax.tessellator import triangle_counts
-from slefejax.view import Camera, View, bounding_sphere
+from slefejax.view import Camera, View, bounding_sphere, check_view
 
 WITHIN = 0.01  # of the budget, below it
 _AIM = 0.996  # of the budget: where a step of the search aims
@@ -54,7 +59,7 @@ class Budget(NamedTuple):
 
 
 def tolerance_for_budget(
-    patches: Patches, view: View, triangles: Any, *, edge_numbers: Any = None, **options: Any
+    patches: Patches, view: View, triangles: Any, *, edge_numbers: Any = None, **options: Unpack[Options]
 ) -> Budget:
     """A tolerance that a number of triangles is enough for: the finest, to within 1 % of them or one step.
 
@@ -69,19 +74,19 @@ def tolerance_for_budget(
     >>> 0.99 * 10_000 <= found.triangles <= 10_000
     True
     """
-    patches, wanted = _checked(patches, view, triangles, options, True)
-    edges = shared_edges(np.asarray(patches)) if edge_numbers is None else edge_numbers
+    if "tolerance" in options:
+        raise InputError("the tolerance is what is looked for: leave it out")
+    packed, request, edges = _checked(patches, view, triangles, options, edge_numbers)
 
     def factors(log: float) -> Factors:
-        own = {**options, "tolerance": float(np.exp(log))}
-        return tessellation_factors(patches, view, edge_numbers=edges, **own)
+        return predicted(request.at(float(np.exp(log))), packed, view, edges)
 
-    start = _tolerance_root(patches, view, wanted, options)
-    return _climb(factors, start, wanted, lambda log: (float(np.exp(log)), view))
+    start = _tolerance_root(packed.patches(), view, triangles, request.real)
+    return _climb(factors, start, int(triangles), lambda log: (float(np.exp(log)), view))
 
 
 def distance_for_budget(
-    patches: Patches, view: View, triangles: Any, *, edge_numbers: Any = None, **options: Any
+    patches: Patches, view: View, triangles: Any, *, edge_numbers: Any = None, **options: Unpack[Options]
 ) -> Budget:
     """The nearest place of the camera, on its line of sight, from which a number of triangles is enough.
 
@@ -92,19 +97,19 @@ def distance_for_budget(
     Raises InputError for a camera without perspective, for a budget that no place on the line meets, and as
     ``tessellation_factors`` does.
     """
-    patches, wanted = _checked(patches, view, triangles, options, False)
+    packed, request, edges = _checked(patches, view, triangles, options, edge_numbers)
     if not view.camera.perspective:
         raise InputError("without perspective the distance of the camera changes nothing: ask for the tolerance")
-    edges = shared_edges(np.asarray(patches)) if edge_numbers is None else edge_numbers
-    points = np.asarray(patches)[..., :3] / (np.asarray(patches)[..., 3:] if patches.shape[3] == 4 else 1.0)
+    given = np.asarray(packed.patches())
+    points = given[..., :3] / (given[..., 3:] if packed.dimension == 4 else 1.0)
     sphere = bounding_sphere(points.reshape(-1, 3))
-    tolerance = float(options.get("tolerance", 0.5))
+    tolerance = float(request.tolerances.pixels)
 
     def factors(log: float) -> Factors:
-        return tessellation_factors(patches, moved(view, sphere, float(np.exp(log))), edge_numbers=edges, **options)
+        return predicted(request, packed, moved(view, sphere, float(np.exp(log))), edges)
 
-    start = _distance_root(patches, view, sphere, wanted, options)
-    return _climb(factors, start, wanted, lambda log: (tolerance, moved(view, sphere, float(np.exp(log)))))
+    start = _distance_root(given, view, sphere, triangles, request.real)
+    return _climb(factors, start, int(triangles), lambda log: (tolerance, moved(view, sphere, float(np.exp(log)))))
 
 
 def moved(view: View, sphere: tuple[Any, Any], scale: Any) -> View:
@@ -113,56 +118,57 @@ def moved(view: View, sphere: tuple[Any, Any], scale: Any) -> View:
     sphere : centre and radius of the scene, for the clipping planes (``slefejax.view.bounding_sphere``)
     """
     camera = view.camera
+    if isinstance(scale, Tracer):
+        # an array of NumPy's that is part of a program in single and of one in double precision is mixed up by JAX
+        copied = partial(np.array, dtype=jax.dtypes.canonicalize_dtype(np.float64))
+        camera = jax.tree.map(lambda part: copied(part) if isinstance(part, np.ndarray) else part, camera)
     eye = camera.target + scale * (camera.eye - camera.target)
     near, far = clipping_planes(sphere, camera, eye)
     return replace(view, camera=Camera.look_at(eye, camera.target, camera.up, camera.extent, near, far))
 
 
-def real_triangles(patches: Any, view: View, **options: Any) -> Any:
+def real_triangles(patches: Any, view: View, **options: Unpack[Options]) -> Any:
     """The sum of 2 tau^2 over the visible patches: triangles of uniform grids without rounding. Differentiable."""
-    factor = tessellation_factors(patches, view, **options).factor
+    packed = pack(patches)
+    check_view(view)
+    return counted(Request.of(options, packed.dimension), packed, view)
+
+
+def counted(request: Request, patches: Any, view: View) -> Any:
+    """``real_triangles`` of what was checked."""
+    factor = predicted(request, pack(patches), view).factor
     return 2.0 * jnp.sum(jnp.minimum(factor, _LEVEL) ** 2)
 
 
-def _checked(patches: Any, view: Any, triangles: Any, options: dict[str, Any], is_tolerance: bool) -> tuple[Any, int]:
-    patches = check_patches(patches)
-    if is_tolerance and "tolerance" in options:
-        raise InputError("the tolerance is what is looked for: leave it out")
+def _checked(
+    patches: Any, view: Any, triangles: Any, options: Mapping[str, Any], edge_numbers: Any
+) -> tuple[Packed, Request, Any]:
+    packed = pack(patches)
+    check_view(view)
     if not is_whole(triangles, 2):
         raise InputError(f"a budget is a whole number of triangles, at least 2, not {triangles!r}")
-    if options.get("method") == "fixed":
+    request = Request.of(options, packed.dimension)
+    if isinstance(request.method, Fixed):
         raise InputError("method 'fixed' makes the same triangles whatever the tolerance: there is nothing to find")
-    coarse = {"edge-length": "setting", "screen-box": "setting"}.get(options.get("method", "certified"))
-    if coarse:
-        raise InputError(f"method {options['method']!r} knows no tolerance: change its {coarse}")
-    plain = {name: value for name, value in options.items() if name not in ("anisotropic", "verify")}
-    visible = int(np.count_nonzero(np.asarray(tessellation_factors(patches, view, **plain).factor)))
-    if visible == 0:
+    if isinstance(request.method, (EdgeLength, ScreenBox)):
+        raise InputError(f"method {request.name!r} knows no tolerance: change its setting")
+    if not np.any(np.asarray(predicted(request.real, packed, view).factor)):
         raise InputError("no patch is visible from this camera: there is nothing to spend triangles on")
-    return patches, int(triangles)
+    edges = shared_edges(np.asarray(packed.patches())) if edge_numbers is None else edge_numbers
+    return packed, request, check_edge_numbers(edges, len(packed))
 
 
-def _smooth_options(options: dict[str, Any]) -> dict[str, Any]:
-    """Those that a traced count can do with: whole numbers come later."""
-    return {name: value for name, value in options.items() if name not in ("anisotropic", "verify", "tolerance")}
-
-
-def _tolerance_root(patches: Any, view: View, wanted: int, options: dict[str, Any]) -> float:
-    smooth = _smooth_options(options)
-
+def _tolerance_root(patches: Any, view: View, wanted: int, request: Request) -> float:
     def excess(log: Any, patches: Any) -> Any:
-        return jnp.log(real_triangles(patches, view, tolerance=jnp.exp(log), **smooth) / (wanted + 0.5))
+        return jnp.log(counted(request.at(jnp.exp(log)), patches, view) / (wanted + 0.5))
 
     middle = float(np.log(0.5))
     return _root(excess, middle - _REACH, middle + _REACH, jnp.asarray(patches))
 
 
-def _distance_root(patches: Any, view: View, sphere: Any, wanted: int, options: dict[str, Any]) -> float:
-    own = {**_smooth_options(options), "tolerance": options.get("tolerance", 0.5)}
-    tolerance = own.pop("tolerance")
-
+def _distance_root(patches: Any, view: View, sphere: Any, wanted: int, request: Request) -> float:
     def excess(log: Any, patches: Any) -> Any:
-        seen = real_triangles(patches, moved(view, sphere, jnp.exp(log)), tolerance=tolerance, **own)
+        seen = counted(request, patches, moved(view, sphere, jnp.exp(log)))
         return jnp.log(jnp.maximum(seen, 1e-3) / (wanted + 0.5))
 
     points = jnp.asarray(patches)
@@ -185,15 +191,13 @@ def _root(excess: Callable[[Any, Any], Any], low: float, high: float, patches: A
 
     solver = optx.Bisection(rtol=0.0, atol=1e-3, flip=True)
 
-    def double(log: Any, patches: Any) -> Any:
-        return excess(log, patches).astype(log.dtype)  # which patches in single precision do not make
+    def alike(log: Any, patches: Any) -> Any:
+        return excess(log, patches).astype(log.dtype)  # whatever precision the patches are in
 
-    with jax.enable_x64(True):
-        ends = {"lower": jnp.asarray(low), "upper": jnp.asarray(high)}
-        found = optx.root_find(
-            double, solver, jnp.asarray(0.5 * (low + high)), args=patches, options=ends, max_steps=60, throw=False
-        )
-        return float(found.value)
+    ends = {"lower": jnp.asarray(low), "upper": jnp.asarray(high)}
+    start = jnp.asarray(0.5 * (low + high))
+    found = optx.root_find(alike, solver, start, args=patches, options=ends, max_steps=60, throw=False)
+    return float(found.value)
 
 
 def _climb(

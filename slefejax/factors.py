@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, Unpack
 
 import jax
 import jax.numpy as jnp
@@ -14,39 +14,37 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from slefejax import layout
-from slefejax.arguments import Number, Patches, Segments, check_patches, check_positive
+from slefejax.arguments import Number, Patches, check_positive
 from slefejax.certificate import Certificate
-from slefejax.certified import certified_factors
 from slefejax.drawn import drawn_levels
 from slefejax.edges import check_edge_numbers, edge_maxima, shared_edges
 from slefejax.errors import InputError
-from slefejax.estimate import Boxes, factor_of_boxes, slefe_factor, slefe_factors
-from slefejax.projection import Projection, harmless, least_distance, placed, positive
-from slefejax.request import Request
-from slefejax.rings import Pattern
-from slefejax.rules import RULES, on_screen
+from slefejax.kernel import Kernel, Method, Prepared, Tolerances
+from slefejax.methods import Certified, Knobs, Name, Request, name_of
+from slefejax.packed import Packed, pack
+from slefejax.projection import Projection
 from slefejax.tessellator import with_pieces
-from slefejax.tiles import check_weights
 from slefejax.verified import Nets, drawn_grids_hold, verified_factors
-from slefejax.view import View
+from slefejax.view import View, check_view
 
 _LARGEST_LEVEL = 2**31
 
 
-@jax.tree_util.register_pytree_node_class
 @dataclass(frozen=True, eq=False)
 class Factors:
     """Tessellation factors of a batch of patches.
 
     factor  : ``(patches,)``, real, before rounding up; 0 for a patch that is off-screen
-    patches : the control points, from which shared edges are found when they are asked for; None inside a trace
+    request : what they were computed for, of those that come out of jit too
+    packed  : the patches, from which shared edges are found when they are asked for; None of those that were traced
     known   : the result of ``slefejax.edges.shared_edges`` if it is there already
     pairs   : ``(patches, 2)``, levels along u and v with few cells, if they were asked for (``anisotropic``)
     certify : of certified factors: makes what decides which grids and transition rings keep the tolerance
     """
 
     factor: Float[Array | np.ndarray, "patches"]
-    patches: Any = field(default=None, repr=False)
+    request: Request | None = field(default=None, repr=False)
+    packed: Packed | None = field(default=None, repr=False)
     known: Int[np.ndarray, "patches 4"] | None = field(default=None, repr=False)
     pairs: Int[np.ndarray, "patches 2"] | None = field(default=None, repr=False)
     certify: Callable[[], Certificate] | None = field(default=None, repr=False)
@@ -73,9 +71,9 @@ class Factors:
         """A number for every edge, equal where edges are shared (``slefejax.edges``)."""
         if self.known is not None:
             return self.known
-        if self.patches is None:
-            raise InputError("edges need concrete control points: call tessellation_factors outside of jit and grad")
-        return shared_edges(np.asarray(self.patches))
+        if self.packed is None:
+            raise InputError(_TRACED)
+        return shared_edges(np.asarray(self.packed.patches()))
 
     @cached_property
     def inner(self) -> Int[np.ndarray, "patches 2"]:
@@ -110,72 +108,95 @@ class Factors:
         pairs = None if self.pairs is None else np.ceil(self.pairs * scale).astype(np.int64)
         return replace(self, factor=self.factor * scale, pairs=pairs, certify=certify)
 
-    def tree_flatten(self) -> tuple[tuple[Any], None]:
-        """For JAX: the factor is data; edge numbers belong to concrete patches and are left behind."""
-        return (self.factor,), None
+    def at(self, patches: Patches, view: View, *, edge_numbers: Int[np.ndarray, "patches 4"] | None = None) -> Factors:
+        """The same with levels and edges again, for factors that come out of jit.
 
-    @classmethod
-    def tree_unflatten(cls, _: None, children: tuple[Any]) -> Factors:
-        """For JAX: the inverse of ``tree_flatten``."""
-        return cls(*children)
+        patches, view : those that the factors were computed of
+        edge_numbers  : as of ``tessellation_factors``
+
+        Raises InputError for other numbers of patches, and inside of jit.
+
+        >>> from slefejax import Camera, load
+        >>> patches = load("teapot").patches()
+        >>> view = View(Camera.look_at((4.5, -6.0, 4.0), (0.0, 0.0, 1.2)), width=1440, height=900)
+        >>> found = jax.jit(lambda given: tessellation_factors(given, view, "slefe"))(patches)
+        >>> found.at(patches, view).edges.shape
+        (32, 4)
+        """
+        packed = pack(patches)
+        check_view(view)
+        if self.request is None:
+            raise InputError("these factors do not know of what method they are: compute them anew")
+        if len(packed) != len(self.factor):
+            raise InputError(f"these are factors of {len(self.factor)} patches, not of {len(packed)}")
+        if isinstance(self.factor, Tracer):
+            raise InputError(_TRACED)
+        return _settled(self.factor, self.request, Prepared.of(packed), view, _checked(edge_numbers, packed))
+
+
+_TRACED = (
+    "edges and whole levels need concrete control points: call tessellation_factors outside of jit and grad, or give"
+    " these factors their patches and view there: factors.at(patches, view)"
+)
+
+
+def _flatten(factors: Factors) -> tuple[tuple[Any, Any], Any]:
+    """The factors and what was asked for; methods of one's own that are no pytrees are static."""
+    request = factors.request
+    if request is None or isinstance(request.method, Kernel):
+        return (factors.factor, request), None
+    return (factors.factor, request.tolerances), request.method
+
+
+def _unflatten(method: Any, children: tuple[Any, Any]) -> Factors:
+    factor, rest = children
+    return Factors(factor, rest if method is None else Request(method, rest))
+
+
+jax.tree_util.register_pytree_node(Factors, _flatten, _unflatten)
 
 
 def tessellation_factors(
     patches: Patches,
     view: View,
-    method: str = "certified",
+    method: Name | Method | str = "certified",
     *,
-    tiles: int = 2,
-    anisotropic: bool = False,
-    verify: bool = False,
-    segments: Segments = 3,
     tolerance: Number = 0.5,
     depth_tolerance: Number | None = None,
-    k: Number = 1.0,
-    setting: Number | None = None,
-    smooth: Number | None = None,
-    pattern: Pattern | None = None,
     edge_numbers: Int[np.ndarray, "patches 4"] | None = None,
+    **knobs: Unpack[Knobs],
 ) -> Factors:
     """How finely each patch must be cut so that pixels are right to within ``tolerance``.
 
     patches         : control points ``(patches, du+1, dv+1, 3)``, u before v, any bi-degree; 4 at the end if rational,
-                      (w x, w y, w z, w) with positive weights
+                      (w x, w y, w z, w) with positive weights; or ``slefejax.pack`` of them
     view            : camera and picture size
-    method          : ``"certified"``, a bound with a proof (docs/certified.md): cut uniformly by any whole number from
+    method          : the name of a method, a value of ``slefejax.methods``, or one's own (``slefejax.kernel``).
+                      ``"certified"``, a bound with a proof (docs/certified.md): cut uniformly by any whole number from
                       ``.factor`` on, and as ``.inner`` and ``.edges`` say, every visible point of the patch keeps the
-                      tolerance.
-                      ``"slefe"``, the estimate of the papers: k m sqrt(w / tolerance), with w the width in pixels of
-                      the slefe boxes on the screen (2012, eq 7 to 10; animation paper, eq 7). It is not a bound.
-                      For rational patches w is the width of the slefe of X - s W over W (MATH.md, section 6).
-                      The rules of ``slefejax.rules``: ``"filip"`` (a bound), ``"minmax"``, ``"edge-length"``,
-                      ``"screen-box"``, ``"fixed"``
-    tiles           : of ``certified``: into how many pieces along u and along v a patch is cut to bound it. More are
-                      tighter and cost more, tiles^2; 1 is the cheapest. Static
-    anisotropic     : of ``certified``: ``.inner`` differs along u and v where that saves triangles
-    verify          : of ``certified``: smaller whole numbers are proved cell by cell, which is slower and tighter, for
-                      factors up to 128
-    segments        : m, or (m_u, m_v); static; of ``slefe``
+                      tolerance. ``"slefe"``, the estimate of the papers, which is no bound. The rules of
+                      ``slefejax.rules``: ``"filip"`` (a bound), ``"minmax"``, ``"edge-length"``, ``"screen-box"``,
+                      ``"fixed"``
     tolerance       : pixels
     depth_tolerance : window depth (0 to 1), or None for no depth test; of ``certified`` and ``slefe``
-    k               : the constant k_m; of ``slefe``
-    setting         : of ``edge-length`` (pixels a piece), ``screen-box`` (mu, pixels), ``fixed`` (the factor);
-                      None: 8, 1, 16
-    smooth          : of ``certified`` and ``slefe``: a temperature, 0 < smooth <= 1, or None. Maxima become soft ones,
-                      never smaller (at most N^smooth times as large, of N numbers), so that ``.factor`` can be
-                      differentiated where they tie (docs/gradients.md). An estimate gets no smaller, a certified factor
-                      stays one
-    pattern         : of ``certified``: how the tessellator makes transition rings; None: as Direct3D 11 says
     edge_numbers    : ``(patches, 4)``, the result of ``shared_edges``, if it is already known
+    knobs           : numbers of the method, where that is given by name; None is what the method takes by itself.
+                      Of ``certified`` (``methods.Certified`` says more): ``tiles``, 2; ``anisotropic``, ``verify``,
+                      False; ``pattern``. Of ``slefe``: ``segments`` m or (m_u, m_v), 3; the constant ``k``, 1. Of both
+                      ``smooth``, a temperature, 0 < smooth <= 1: maxima become soft ones, never smaller (at most
+                      N^smooth times as large, of N numbers), so that ``.factor`` can be differentiated where they tie
+                      (docs/gradients.md). ``setting`` of ``edge-length`` (pixels a piece, 8), ``screen-box`` (mu,
+                      pixels, 1) and ``fixed`` (the factor, 16)
 
     Returns Factors: ``.factor`` (at least 1 on the screen, 0 off it), ``.inner`` and ``.edges``.
     ``slefe``: only tiles whose boxes reach into the view volume count; where a box touches or lies behind the near
     plane it is measured as if it lay in it, which is as near as anything is drawn; nothing is divided by a smaller W.
-    ``.factor`` is differentiable by patches, camera, tolerance and k, in forward and reverse mode; derivatives are
-    finite everywhere (docs/gradients.md). Traced numbers that are out of their range give NaN.
+    ``.factor`` is differentiable by patches, camera, tolerance and the methods' real numbers, in forward and reverse
+    mode; derivatives are finite everywhere (docs/gradients.md). Traced numbers out of their range give NaN.
 
     Raises InputError for wrong shapes, control points that are not finite (with the patch's number), segments or tiles
-    < 1, a tolerance or k that is not positive, a temperature beyond its range, or results that overflow.
+    < 1, a tolerance or k that is not positive, a temperature beyond its range, numbers that the method does not have,
+    or results that overflow.
 
     >>> from slefejax import Camera, load
     >>> scene = load("teapot")
@@ -183,79 +204,84 @@ def tessellation_factors(
     >>> tessellation_factors(scene.patches(), view).factor.shape
     (32,)
     """
-    patches = check_patches(patches)
-    check_weights(patches)
-    request = Request.of(
-        method,
-        patches.shape[3],
-        tiles=tiles,
-        anisotropic=anisotropic,
-        verify=verify,
-        segments=segments,
-        tolerance=tolerance,
-        depth_tolerance=depth_tolerance,
-        k=k,
-        setting=setting,
-        smooth=smooth,
-        pattern=pattern,
-    )
-    if edge_numbers is not None:
-        edge_numbers = check_edge_numbers(edge_numbers, len(patches))
-    _check_view(view)
-    packed, projection = placed(patches, view)
-    return factors_of(packed, None, lambda: patches, len(patches), view, projection, request, edge_numbers)
+    packed = pack(patches)
+    options = {"method": method, "tolerance": tolerance, "depth_tolerance": depth_tolerance, **knobs}
+    request = Request.of(options, packed.dimension)
+    check_view(view)
+    return predicted(request, packed, view, _checked(edge_numbers, packed))
 
 
-def factors_of(
-    packed: Any,
-    boxes: Boxes | None,
-    patches: Callable[[], Any],
-    count: int,
-    view: View,
-    projection: Projection,
-    request: Request,
-    edge_numbers: Any,
-) -> Factors:
-    """Factors of patches in the layout of the kernels (``slefejax.layout``). Raises as ``tessellation_factors`` does.
+def prepared_by(method: Method, packed: Packed) -> Prepared:
+    """What all views of patches share, for this method: its pose pass."""
+    if isinstance(method, Kernel):
+        return method.prepare(packed)
+    return Prepared(packed, method.prepare(packed.patches()))
 
-    boxes      : of ``slefe``: the patches' slefe boxes in the same layout, if they are there already
-    patches    : makes them in the order of users, ``(patches, du+1, dv+1, dim)``; called only where that is needed
-    projection : of the view, for the packed patches (``slefejax.projection``)
-    """
-    scales = tuple(None if x is None else jnp.asarray(x, packed.dtype) for x in request.numbers)
-    needed = packed if boxes is None or packed.shape[3] == 4 else None
-    seen = (needed, None if boxes is None else boxes.lower, None if boxes is None else boxes.upper)
-    chunks = view_pass(seen, projection, scales, request.method, request.fineness)
-    factor = layout.unpack(chunks, count)
+
+def predicted(request: Request, patches: Any, view: View, edge_numbers: Any = None) -> Factors:
+    """``tessellation_factors`` of what was checked: of ``prepared_by``'s result, or of packed patches at once."""
+    method, tolerances = request
+    if isinstance(method, Kernel):
+        prepared = Prepared.of(patches)
+        factor = method.factor(prepared, view, tolerances)
+    else:
+        prepared = patches if isinstance(patches, Prepared) else prepared_by(method, patches)
+        factor = _of_ones_own(method, method.factor(prepared.made, view, tolerances), len(prepared.packed))
+    return _settled(factor, request, prepared, view, edge_numbers)
+
+
+def _checked(edge_numbers: Any, packed: Packed) -> Any:
+    return None if edge_numbers is None else check_edge_numbers(edge_numbers, len(packed))
+
+
+def _of_ones_own(method: Method, factor: Any, count: int) -> Any:
+    """Factors that a method of one's own made, or InputError if they are none."""
+    factor = jnp.asarray(factor)
+    if factor.shape != (count,) or not jnp.issubdtype(factor.dtype, jnp.number):
+        raise InputError(
+            f"method {name_of(method)!r} must make real factors of shape ({count},), not {factor.dtype} {factor.shape}"
+        )
+    factor = factor.astype(jnp.result_type(factor.dtype, jnp.float32))
+    if not isinstance(factor, Tracer):
+        bad = np.flatnonzero(~(np.isfinite(factor) & (np.asarray(factor) >= 0)))
+        if bad.size:
+            raise InputError(
+                f"method {name_of(method)!r} made the factor {factor[bad[0]]:g} of patch {bad[0]} (counted from 0):"
+                " factors must be finite, and at least 0"
+            )
+    return factor
+
+
+def _settled(factor: Any, request: Request, prepared: Prepared, view: View, edge_numbers: Any) -> Factors:
+    """Factors with what their levels need; of certified ones also whole numbers, where they are asked for."""
+    method, tolerances = request
     if isinstance(factor, Tracer):
-        if request.anisotropic or request.verify:
+        if isinstance(method, Certified) and method.whole:
             raise InputError("anisotropic and verify find whole numbers: ask for them outside of jit and grad")
-        return Factors(factor, known=edge_numbers)
-    _check_result(np.asarray(factor), patches)
-    if request.method != "certified":
-        return Factors(factor, patches() if edge_numbers is None else None, edge_numbers)
+        return Factors(factor, request, known=edge_numbers)
+    packed = prepared.packed
+    _check_result(np.asarray(factor), packed.patches)
+    if not isinstance(method, Certified):
+        return Factors(factor, request, packed, edge_numbers)
     proof = None
-    if request.verify:
+    if method.verify:
         # in double precision, whatever the patches are in
-        nets = Nets.of(np.asarray(patches()), Projection.of(view), (request.numbers[0], request.numbers[1]))
+        nets = Nets.of(np.asarray(packed.patches()), Projection.of(view), tolerances)
         factor = verified_factors(np.asarray(factor), nets)
-        proof = partial(drawn_grids_hold, nets, request.pattern)
-    tolerances = (scales[0], scales[1])
-    certify = _Certify(packed, count, projection, tolerances, request.fineness, request.pattern, proof)
-    pairs = certify().pairs() if request.anisotropic else None
-    return Factors(factor, patches() if edge_numbers is None else None, edge_numbers, pairs, certify)
+        proof = partial(drawn_grids_hold, nets, method.drawn_with)
+    certify = _Certify(method, packed, view, tolerances, proof)
+    pairs = certify().pairs() if method.anisotropic else None
+    return Factors(factor, request, packed, edge_numbers, pairs, certify)
 
 
 @dataclass(frozen=True, eq=False)
 class _Certify:
     """Makes the certificate of some factors, once, when it is asked for; it can be pickled."""
 
-    packed: Any
-    count: int
-    projection: Projection
-    tolerances: tuple[Any, Any]
-    fineness: Any
-    pattern: Pattern
+    method: Certified
+    packed: Packed
+    view: View
+    tolerances: Tolerances
     proof: Any
 
     def __call__(self) -> Certificate:
@@ -263,97 +289,15 @@ class _Certify:
 
     @cached_property
     def _certificate(self) -> Certificate:
-        concrete = self.projection.relative(layout.unpack_on_host(self.packed, self.count), axis=-1)
-        return Certificate(concrete, self.projection, self.tolerances, self.fineness, self.pattern, self.proof)
+        chunks, projection = self.packed.placed(self.view)
+        concrete = projection.relative(layout.unpack_on_host(chunks, len(self.packed)), axis=-1)
+        tolerances = jax.tree.map(lambda number: jnp.asarray(number, chunks.dtype), tuple(self.tolerances))
+        tiles = self.method.formula.tiles
+        return Certificate(concrete, projection, tolerances, tiles, self.method.drawn_with, self.proof)
 
 
 def _scaled(certify: Callable[[], Certificate], scale: float) -> Certificate:
     return certify().scaled(scale)
-
-
-@layout.as_pass(3, 4)
-def view_pass(
-    seen: tuple[Any, Any, Any], projection: Projection, scales: tuple[Any, ...], method: str, fineness: Any
-) -> Float[Array, "chunks lanes"]:
-    """Real factors of all patches in one view, in the layout of the kernels; NaN for patches that are not finite.
-
-    seen : control points, None where boxes are enough; lower and upper ends of slefe boxes relative to the origin, or
-           None twice, to compute them on the way
-    """
-    bad = _out_of_range(scales, method, projection)
-    packed, lower, upper = seen
-    if method == "certified":
-        factor: Any = certified_factors(packed, projection, scales, fineness)
-        fine = layout.over_chunks(_harmless_over_scales, packed, projection, *scales[:2])
-        return jnp.where(fine & ~bad, factor, jnp.nan)
-    if method == "slefe" and lower is None and packed.shape[3] == 3 and scales[3] is None:
-        factor = slefe_factors(packed, projection, scales[:3], fineness)
-    elif lower is not None:
-        kernel = partial(_from_boxes, segments=fineness)
-        factor = layout.over_chunks(kernel, (lower, upper, packed), projection, *scales)
-    else:
-        kernel = partial(slefe_factor, segments=fineness) if method == "slefe" else _seen(RULES[method])
-        factor = layout.over_chunks(_unless_bad(kernel), packed, projection, *scales)
-    return jnp.where(bad, jnp.nan, factor)
-
-
-def _check_view(view: Any) -> None:
-    if not isinstance(view, View):
-        raise InputError(f"the view must be a slefejax.View (a camera and a picture size), not {type(view).__name__}")
-
-
-def _out_of_range(scales: tuple[Any, ...], method: str, projection: Projection) -> Any:
-    """Whether a number that was traced, so that nobody could look at it, is not positive, or no temperature.
-
-    Or whether the view is so small or so large that numbers of this type lose their digits.
-    """
-    least = least_distance(projection.near_w.dtype)
-    bad: Any = ~(projection.near_w >= least) | ~(jnp.max(jnp.abs(projection.frustum[:, :3])) <= 1.0 / least)
-    for scale in scales:
-        if scale is not None:
-            bad |= ~(scale > 0)
-    if method in ("certified", "slefe") and scales[-1] is not None:
-        bad |= ~(scales[-1] <= 1)
-    return jnp.asarray(bad)
-
-
-def _from_boxes(seen: Any, projection: Projection, *scales: Any, segments: tuple[int, int]) -> Any:
-    lower, upper, control = seen
-    # boxes of control points that are not finite are not finite either
-    fine = harmless(lower, projection) & harmless(upper, projection)
-    if control is not None:
-        fine &= positive(control)
-        control = projection.relative(control)
-    factor = factor_of_boxes((lower, upper), control, projection, *scales, segments=segments)
-    return jnp.where(fine, factor, jnp.nan)
-
-
-def _seen(rule: Callable[..., Any]) -> Callable[..., Any]:
-    """The rule with 0 for patches that are off the screen."""
-
-    def kernel(control: Any, projection: Projection, *arguments: Any) -> Any:
-        return jnp.where(on_screen(control, projection), rule(control, projection, *arguments), 0.0)
-
-    return kernel
-
-
-def _unless_bad(kernel: Callable[..., Any]) -> Callable[..., Any]:
-    """The kernel for points in the world, with NaN for harmful patches: its selects would hide them."""
-
-    def checked(control: Any, projection: Projection, *arguments: Any) -> Any:
-        found = kernel(projection.relative(control), projection, *arguments)
-        return jnp.where(harmless(control, projection) & positive(control), found, jnp.nan)
-
-    return checked
-
-
-def _harmless_over_scales(control: Any, projection: Projection, *scales: Any) -> Any:
-    """The same where control points are divided by each of these scales too."""
-    fine = harmless(control, projection) & positive(control)
-    for scale in scales:
-        if scale is not None:
-            fine &= harmless(control, projection, scale)
-    return fine
 
 
 def _check_result(factor: np.ndarray, make_patches: Callable[[], Any]) -> None:

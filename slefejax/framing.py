@@ -32,7 +32,7 @@ def clipping_planes(sphere: tuple[Any, Any], own: Camera, eye: Any) -> tuple[Any
     centre, radius = sphere
     xp: Any = jnp if isinstance(eye, jax.Array) else np
     with np.errstate(over="ignore"):  # the camera says what is wrong with such an eye
-        distance = xp.linalg.norm(eye - centre)
+        distance = xp.linalg.norm(eye - xp.asarray(centre))
     near = xp.where(distance - radius > own.near, own.near, xp.minimum(own.near, radius / 1000.0))
     return near, xp.maximum(own.far, distance + 2.0 * radius)
 

@@ -8,7 +8,8 @@ the surface stays within a distance of the one that was given, and its tangent p
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple, Unpack
 
 import equinox as eqx
 import jax
@@ -18,10 +19,12 @@ import optimistix as optx
 from jaxtyping import Float
 
 from slefejax.arguments import Number, Patches, check_patches, check_positive, is_whole
-from slefejax.budget import real_triangles
+from slefejax.budget import counted
 from slefejax.deviation import distance_squares, side_turns, surface_distance, turn_squares, unfolded
 from slefejax.errors import InputError
-from slefejax.factors import tessellation_factors
+from slefejax.factors import predicted
+from slefejax.methods import Certified, Options, Request, Slefe
+from slefejax.packed import pack
 from slefejax.view import View, check_views
 
 _SMOOTH = 0.02  # temperature of the factors while points move
@@ -77,7 +80,7 @@ def fewer_triangles(
     steps: int = 200,
     start: Descent | None = None,
     progress: Callable[[Descent], None] | None = None,
-    **options: Any,
+    **options: Unpack[Options],
 ) -> Relaxed:
     """Move inner control points so that the triangles of all views become fewer, and the surface hardly changes.
 
@@ -98,8 +101,9 @@ def fewer_triangles(
     patches = check_patches(patches)
     if patches.shape[3] == 4:
         raise InputError("rational patches are not moved: give polynomial ones, (patches, du+1, dv+1, 3)")
-    if options.get("method", "certified") not in ("certified", "slefe"):
-        raise InputError(f"points are moved with smooth factors: method {options['method']!r} has none")
+    request = Request.of(options)
+    if not isinstance(request.method, (Certified, Slefe)):
+        raise InputError(f"points are moved with smooth factors: method {request.name!r} has none")
     check_positive("within", within)
     check_positive("turn", turn)
     if min(patches.shape[1:3]) < 3:
@@ -110,19 +114,19 @@ def fewer_triangles(
     if len({(view.width, view.height, view.camera.perspective) for view in views}) > 1:
         raise InputError("the views must be of one size, all with perspective or all without")
     for name in ("anisotropic", "verify", "smooth"):
-        if options.pop(name, None):
+        if getattr(request.method, name, None):
             raise InputError(
                 f"{name} has no meaning here: factors are real, and smooth while points move", options=(name,)
             )
     given, limits = jnp.asarray(patches), _Limits(float(within), float(turn))
-    before = _per_patch(given, views, options)
+    before = _per_patch(given, views, request)
     nu, nv = patches.shape[1:3]
     start = start or Descent(np.zeros((len(patches), nu - 2, nv - 2, 3)), 0, 0, ())
-    at, reason = _descend(given, views, limits, steps, start, progress, options)
+    at, reason = _descend(given, views, limits, steps, start, progress, request)
     offsets = limits.distance * jnp.asarray(at.offsets, given.dtype)
     share = _feasible_share(given, offsets, limits)
     found = _shifted(given, offsets * share[:, None, None, None])
-    better = _per_patch(found, views, options) < before * (1.0 - 1e-9)
+    better = _per_patch(found, views, request) < before * (1.0 - 1e-9)
     found = jnp.where(jnp.asarray(better)[:, None, None, None], found, given)
     return Relaxed(np.asarray(found), surface_distance(found, given), side_turns(found, given), better, reason)
 
@@ -146,10 +150,10 @@ class _Limits(NamedTuple):
 
 
 def _descend(
-    given: Any, views: Sequence[View], limits: _Limits, steps: int, at: Descent, progress: Any, options: dict[str, Any]
+    given: Any, views: Sequence[View], limits: _Limits, steps: int, at: Descent, progress: Any, request: Request
 ) -> tuple[Descent, str]:
     """Step by step, one weight of the limits after the other: where that ended, and why if it had not converged."""
-    begin, step = _solver(_objective(given, views, limits, options), given.dtype)
+    begin, step = _solver(_objective(given, views, limits, request), given.dtype)
     reason = ""
     while at.weight < len(_WEIGHTS):
         offsets, memory = jnp.asarray(at.offsets, given.dtype), begin(jnp.asarray(at.offsets, given.dtype))
@@ -169,19 +173,19 @@ def _descend(
     return at, reason
 
 
-def _objective(given: Any, views: Sequence[View], limits: _Limits, options: dict[str, Any]) -> Callable[..., Any]:
+def _objective(given: Any, views: Sequence[View], limits: _Limits, request: Request) -> Callable[..., Any]:
     """Triangles over those of the given patches, and what is beyond the limits, of offsets over the distance."""
-    start = float(np.sum(_per_patch(given, views, options))) or 1.0
+    start = float(np.sum(_per_patch(given, views, request))) or 1.0
     # side by side, so that the chain from control points to factors is compiled once
     width, height = views[0].width, views[0].height
     cameras = jax.tree.map(lambda *numbers: jnp.stack([jnp.asarray(x) for x in numbers]), *(v.camera for v in views))
 
+    smooth = request._replace(method=replace(request.method, smooth=_SMOOTH))
+
     def objective(offsets: Any, arguments: tuple[Any, Any]) -> tuple[Any, None]:
         given, weight = arguments
         patches = _shifted(given, limits.distance * offsets)
-        counts = jax.lax.map(
-            lambda camera: real_triangles(patches, View(camera, width, height), smooth=_SMOOTH, **options), cameras
-        )
+        counts = jax.lax.map(lambda camera: counted(smooth, patches, View(camera, width, height)), cameras)
         return jnp.sum(counts) / start + weight * limits.excess(patches, given) / len(given), None
 
     return objective
@@ -215,9 +219,10 @@ def _shifted(given: Any, offsets: Any) -> Any:
     return given.at[:, 1:-1, 1:-1].add(offsets)
 
 
-def _per_patch(patches: Any, views: Sequence[View], options: dict[str, Any]) -> np.ndarray:
+def _per_patch(patches: Any, views: Sequence[View], request: Request) -> np.ndarray:
     """Triangles of each patch, summed over views, without rounding."""
-    factors = [np.asarray(tessellation_factors(patches, view, **options).factor) for view in views]
+    packed = pack(patches)
+    factors = [np.asarray(predicted(request, packed, view).factor) for view in views]
     return 2.0 * np.sum(np.square(factors), axis=0)
 
 

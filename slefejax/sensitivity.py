@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Unpack
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from slefejax.arguments import check_positive
-from slefejax.budget import moved, real_triangles
+from slefejax.budget import counted, moved
 from slefejax.errors import InputError
+from slefejax.methods import Options, Request
 from slefejax.rig import Deformation, Pose
 from slefejax.scene import Scene
-from slefejax.view import View, bounding_sphere
+from slefejax.view import View, bounding_sphere, check_view
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Sensitivity:
 
 
 def sensitivity(
-    scene: Scene, view: View, pose: Any = None, *, deform: Deformation | None = None, **options: Any
+    scene: Scene, view: View, pose: Any = None, *, deform: Deformation | None = None, **options: Unpack[Options]
 ) -> Sensitivity:
     """All derivatives at once, by reverse mode through projection, slefes or bounds, conversion, skinning, keys.
 
@@ -58,23 +58,20 @@ def sensitivity(
     """
     if not isinstance(scene, Scene):
         raise InputError(f"sensitivity is of a slefejax.Scene, as load gives it, not of {type(scene).__name__}")
-    if not isinstance(view, View):
-        raise InputError(f"the view must be a slefejax.View (a camera and a picture size), not {type(view).__name__}")
-    for name in ("anisotropic", "verify"):
-        if options.pop(name, False):
-            raise InputError(f"{name} finds whole numbers, which have no derivatives: leave it out", options=(name,))
+    check_view(view)
     if pose is not None and scene.rig is None:
         raise InputError(f"{scene.name} does not move: it has no pose but the one at rest")
-    tolerance = options.pop("tolerance", 0.5)
-    check_positive("tolerance", tolerance)
-    tolerance = float(tolerance)
+    request = Request.of(options, scene.control.shape[3])
+    for name in ("anisotropic", "verify"):
+        if getattr(request.method, name, False) is True:
+            raise InputError(f"{name} finds whole numbers, which have no derivatives: leave it out", options=(name,))
+    tolerance = float(request.tolerances.pixels)
     model = _Mesh(scene, pose, deform) if scene.conversion is not None else _Points(scene)
     sphere = bounding_sphere(scene.points())
 
     def count(at: dict[str, Any], model: Any) -> Any:
         seen = moved(view, sphere, jnp.exp(at["distance"])) if "distance" in at else view
-        own = {**options, "tolerance": tolerance * jnp.exp(at["tolerance"])}
-        return real_triangles(model.patches(at), seen, **own)
+        return counted(request.at(tolerance * jnp.exp(at["tolerance"])), model.patches(at), seen)
 
     at = {**model.origin(), "tolerance": jnp.zeros(())}
     if view.camera.perspective:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import jax
 import jax.numpy as jnp
@@ -22,16 +22,18 @@ from jaxtyping import Float
 from slefejax import layout
 from slefejax.conversion.patchwork import in_layout
 from slefejax.errors import InputError
-from slefejax.estimate import Boxes, boxes_pass
-from slefejax.factors import Factors, factors_of, view_pass
-from slefejax.projection import Projection, line_of_sight
-from slefejax.request import Request
+from slefejax.estimate import boxes_pass
+from slefejax.factors import Factors, predicted, prepared_by
+from slefejax.kernel import Kernel, Prepared, view_pass
+from slefejax.methods import Options, Request, Slefe
+from slefejax.packed import Packed
+from slefejax.projection import Projection
 from slefejax.rig import Deformation, Pose, check_time
 from slefejax.scene import Scene
 from slefejax.skinning import Influences
 from slefejax.stencils import StencilTable
 from slefejax.tiles import check_weights
-from slefejax.view import View
+from slefejax.view import View, check_view
 
 PARTS = ("skinning and conversion", "slefe boxes", "view")
 
@@ -74,21 +76,20 @@ class Session:
     seconds: dict[str, float]
     """How long each of PARTS took in that call; 0 for what was kept. The first call of each compiles."""
 
-    def __init__(self, scene: Scene, *, deform: Deformation | None = None, dtype: Any = None, **options: Any) -> None:
+    def __init__(
+        self, scene: Scene, *, deform: Deformation | None = None, dtype: Any = None, **options: Unpack[Options]
+    ) -> None:
         if not isinstance(scene, Scene):
             raise InputError(f"a session is of a slefejax.Scene, as load gives it, not of {type(scene).__name__}")
         check_weights(scene.control)
         self.scene = scene
-        self.request = Request.of(dimension=scene.control.shape[3], **options)
+        self.request = Request.of(options, scene.control.shape[3])
         if deform is not None and not callable(deform):
             raise InputError(f"deform must be a function such as slefejax.linear_blend, not {deform!r}")
         if dtype is not None and str(getattr(dtype, "__name__", dtype)) not in ("float32", "float64"):
             raise InputError(f"dtype must be float32 or float64, not {dtype!r}")
         self._deform = deform
         self._dtype = jax.dtypes.canonicalize_dtype(np.float64 if dtype is None else dtype)
-        # boxes are relative to some point of the scene
-        first = scene.points()[0]
-        self._origin = np.where(np.isfinite(first), first, 0.0).astype(self._dtype)
         self._tables = self._make_tables()
         self._pose_pass = jax.jit(self._move)
         self.recomputed, self.seconds = (), dict.fromkeys(PARTS, 0.0)
@@ -97,8 +98,7 @@ class Session:
     def _forget(self) -> None:
         """Nothing has been computed yet."""
         self._at: _Snapshot | None = None
-        self._packed: Any = None
-        self._boxes: Boxes | None = None
+        self._prepared: Prepared | None = None
         self._patches: np.ndarray | None = None
         self._seen: tuple[_Snapshot, Factors] | None = None
 
@@ -114,7 +114,7 @@ class Session:
         vars(self).update(state)
         dtype = jax.dtypes.canonicalize_dtype(self._dtype)
         if dtype != self._dtype:
-            self._dtype, self._origin = dtype, self._origin.astype(dtype)
+            self._dtype = dtype
             self._forget()
         self._tables = self._make_tables()
         self._pose_pass = jax.jit(self._move)
@@ -146,11 +146,13 @@ class Session:
     @property
     def patches(self) -> Float[np.ndarray, "patches nu nv dim"]:
         """Control points of the pose of the last call, at first those at rest, ``(patches, du+1, dv+1, 3)``."""
-        if self._packed is None:
+        if self._prepared is None:
             self._update_pose(None)
+        assert self._prepared is not None
         if self._patches is None:
-            self._patches = layout.unpack_on_host(self._packed, len(self.scene.control))
-            self._patches.flags.writeable = False
+            found: np.ndarray = self._prepared.packed.patches()
+            found.flags.writeable = False
+            self._patches = found
         return self._patches
 
     def left_out(self) -> tuple[str, ...]:
@@ -166,27 +168,27 @@ class Session:
         ['view']
         """
         found = {}
-        if not isinstance(view, View):
-            raise InputError(f"the view must be a slefejax.View, not {type(view).__name__}")
-        packed, at = self._as_packed(), self._checked(pose)
+        check_view(view)
+        chunks, at = self._chunks(), self._checked(pose)
         if self.moves:
-            found["skinning and conversion"], packed = jax.make_jaxpr(self._move, return_shape=True)(self._tables, at)
-        boxes = (None, None)
-        if self.request.method == "slefe":
+            found["skinning and conversion"], chunks = jax.make_jaxpr(self._move, return_shape=True)(self._tables, at)
+        method, tolerances = self.request
+        if not isinstance(method, Kernel):
+            return found
+        seen = (chunks, None, None)
+        if isinstance(method, Slefe):
             found["slefe boxes"], boxes = jax.make_jaxpr(boxes_pass, static_argnums=2, return_shape=True)(
-                packed, self._origin, self.request.fineness, self.request.smooth
+                chunks, np.zeros(3, self._dtype), method.formula.segments, method.smooth
             )
-        projection = Projection.of(view, self._dtype, None if boxes[0] is None else self._origin)
-        needed = packed if boxes[0] is None or packed.shape[3] == 4 else None
-        scales = tuple(None if x is None else jnp.asarray(x, self._dtype) for x in self.request.numbers)
-        found["view"] = jax.make_jaxpr(view_pass, static_argnums=(3, 4))(
-            (needed, *boxes), projection, scales, self.request.method, self.request.fineness
-        )
+            seen = (chunks if chunks.shape[3] == 4 else None, *boxes)
+        projection = Projection.of(view, self._dtype)
+        found["view"] = jax.make_jaxpr(view_pass)(seen, projection, *method.numbers(tolerances, self._dtype))
         return found
 
     def memory(self) -> dict[str, int]:
         """Bytes of what is kept between calls: tables, control points and slefe boxes, as far as they are there."""
-        kept = {"tables": self._tables, "control points": self._packed, "slefe boxes": self._boxes}
+        packed, made = self._prepared or (None, None)
+        kept = {"tables": self._tables, "control points": packed, "slefe boxes": made}
         return {name: sum(x.nbytes for x in jax.tree.leaves(part)) for name, part in kept.items()}
 
     def _make_tables(self) -> _Tables | None:
@@ -205,7 +207,8 @@ class Session:
         floating = lambda x: jnp.issubdtype(x.dtype, jnp.floating)  # noqa: E731
         return jax.tree.map(lambda x: jnp.asarray(x, self._dtype) if floating(x) else jnp.asarray(x), tables)
 
-    def _as_packed(self) -> Any:
+    def _chunks(self) -> Any:
+        """The control points of a scene that does not move, in the layout of the kernels."""
         return layout.pack(self.scene.control.astype(self._dtype))
 
     def _checked(self, pose: Any) -> Any:
@@ -224,14 +227,15 @@ class Session:
     def _update_pose(self, pose: Any) -> bool:
         """Make the control points of a pose, and their boxes, unless they are there."""
         at = self._checked(pose)
-        if self._packed is not None and self._at is not None and _same(self._at, at):
+        if self._prepared is not None and self._at is not None and _same(self._at, at):
             return False
-        packed = self._timed(PARTS[0], lambda: self._pose_pass(self._tables, at) if self.moves else self._as_packed())
-        boxes = None
-        if self.request.method == "slefe":
-            fineness, smooth = self.request.fineness, self.request.smooth
-            boxes = self._timed(PARTS[1], lambda: Boxes.of(packed, self._origin, fineness, smooth))
-        self._at, self._packed, self._boxes = _snapshot(at), packed, boxes
+        chunks = self._timed(PARTS[0], lambda: self._pose_pass(self._tables, at) if self.moves else self._chunks())
+        packed = Packed.made(chunks, len(self.scene.control), rounded=self.scene.control.dtype != self._dtype)
+        prepared = self._timed(PARTS[1], lambda: prepared_by(self.request.method, packed))
+        if prepared.made is None:
+            self.seconds[PARTS[1]] = 0.0
+        self._prepared = prepared
+        self._at = _snapshot(at)
         self._patches = self._seen = None
         return True
 
@@ -248,26 +252,8 @@ class Session:
         return in_layout(tables.points(vertices if tables.first is None else tables.first(vertices)), tables.net)
 
     def _look(self, view: View) -> Factors:
-        count, edges = len(self.scene.control), self.scene.edge_numbers
-        packed, patches = self._packed, self._patches_of(self._packed)
-        return factors_of(packed, self._boxes, patches, count, view, self._projection(view), self.request, edges)
-
-    def _projection(self, view: View) -> Projection:
-        """For the packed patches of this pose."""
-        if not isinstance(view, View):
-            raise InputError(f"the view must be a slefejax.View, not {type(view).__name__}")
-        origin = self._boxes.origin if self._boxes is not None else line_of_sight(view, self._packed)
-        return Projection.of(view, self._dtype, origin, rounded=self.scene.control.dtype != self._dtype)
-
-    def _patches_of(self, packed: Any) -> Callable[[], np.ndarray]:
-        """The patches of this pose, also when the session has gone on to another one."""
-
-        def patches() -> np.ndarray:
-            if packed is self._packed:
-                return self.patches
-            return layout.unpack_on_host(packed, len(self.scene.control))
-
-        return patches
+        check_view(view)
+        return predicted(self.request, self._prepared, view, self.scene.edge_numbers)
 
     def _timed(self, part: str, work: Callable[[], Any]) -> Any:
         start = clock.perf_counter()

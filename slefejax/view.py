@@ -18,7 +18,7 @@ where a camera is traced (to differentiate by it).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
@@ -30,6 +30,7 @@ from jaxtyping import Array, Float
 
 from slefejax.arguments import real_numbers
 from slefejax.errors import InputError
+from slefejax.plain import plain
 
 Matrix = Any  # (4, 4), NumPy or JAX
 LARGEST = 1e100  # squares and products of such numbers are still finite
@@ -52,7 +53,7 @@ def _check(condition: Any, message: str, *options: str) -> None:
         raise InputError(message, options=options)
 
 
-@jax.tree_util.register_dataclass
+@plain("eye", "target", "up", "extent", "near", "far")
 @dataclass(frozen=True, eq=False)
 class Camera:
     """A pinhole or an orthographic camera; build it with ``look_at`` or ``orthographic``.
@@ -69,7 +70,7 @@ class Camera:
     extent: Any
     near: Any
     far: Any
-    perspective: bool = field(metadata={"static": True})
+    perspective: bool
 
     @staticmethod
     def look_at(
@@ -169,7 +170,7 @@ class Camera:
         return self.near if self.perspective else 1.0
 
 
-@jax.tree_util.register_dataclass
+@plain("camera", "width", "height")
 @dataclass(frozen=True, eq=False)
 class View:
     """A camera and the size of its picture in pixels.
@@ -186,7 +187,7 @@ class View:
     def __post_init__(self) -> None:
         for name in ("width", "height"):
             size = getattr(self, name)
-            if isinstance(size, Tracer) or type(size) is object:  # inside of JAX
+            if isinstance(size, Tracer):
                 continue
             whole = isinstance(size, (int, float, np.number, jax.Array)) and size >= 1 and float(size).is_integer()
             if not whole:
@@ -279,6 +280,12 @@ def _of_size_one(vector: Any) -> Any:
     if not isinstance(vector, np.ndarray) or not np.any(vector):
         return vector
     return vector * 2.0 ** -np.floor(np.log2(np.abs(vector).max()))
+
+
+def check_view(view: Any) -> None:
+    """InputError unless this is a view."""
+    if not isinstance(view, View):
+        raise InputError(f"the view must be a slefejax.View (a camera and a picture size), not {type(view).__name__}")
 
 
 def check_views(views: Any) -> None:

@@ -11,15 +11,15 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from slefejax import layout
-from slefejax.arguments import Number, Patches, Segments, check_patches, segment_pair
+from slefejax.arguments import Number, Patches, Segments, segment_pair
 from slefejax.errors import InputError
 from slefejax.estimate import visible_widths
 from slefejax.maxima import largest_along
-from slefejax.projection import Projection, placed, positive
-from slefejax.request import check_smooth
+from slefejax.methods import check_temperature
+from slefejax.packed import pack
+from slefejax.projection import Projection, positive
 from slefejax.slefe import enclose_patch
-from slefejax.tiles import check_weights
-from slefejax.view import View
+from slefejax.view import View, check_view
 
 
 def screen_widths(
@@ -37,7 +37,7 @@ def screen_widths(
     380.316
     """
     pair = segment_pair(segments)
-    check_smooth("slefe", smooth)
+    check_temperature(smooth)
     return _over_patches(patches, view, smooth, pair)
 
 
@@ -53,13 +53,11 @@ def screen_twists(patches: Patches, view: View) -> Float[Array, "patches"]:
 
 
 def _over_patches(patches: Patches, view: View, smooth: Any, segments: Any) -> Any:
-    patches = check_patches(patches)
-    check_weights(patches)
-    if not isinstance(view, View):
-        raise InputError(f"the view must be a slefejax.View (a camera and a picture size), not {type(view).__name__}")
-    packed, projection = placed(patches, view)
+    packed = pack(patches)
+    check_view(view)
+    chunks, projection = packed.placed(view)
     smooth = None if smooth is None else jnp.asarray(smooth, packed.dtype)
-    found = layout.unpack(_pass(packed, projection, smooth, segments), len(patches))
+    found = layout.unpack(_pass(chunks, projection, smooth, segments), len(packed))
     bad = [] if isinstance(found, Tracer) else np.flatnonzero(~np.isfinite(np.asarray(found)))
     if len(bad):
         raise InputError(f"patch {bad[0]} (counted from 0) has control points that are not finite, or too large")

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slefejax import InputError, certified, factors, tessellation_factors
+from slefejax import InputError, certified, kernel, tessellation_factors
 from slefejax.experiments import attack as command
 from slefejax.experiments import attack_climb, attack_settings
 from slefejax.experiments.attack_batch import attack
@@ -45,8 +45,8 @@ def short_rings(monkeypatch):
     own = direct3d11()
     short = Pattern(own.points, 0.95 * own.reach)
 
-    def asked(*arguments, **options):
-        return tessellation_factors(*arguments, pattern=short, **options)
+    def asked(patches, view, method, **options):
+        return tessellation_factors(patches, view, replace(method, pattern=short), **options)
 
     monkeypatch.setattr(attack_settings, "tessellation_factors", asked)
 
@@ -55,9 +55,9 @@ def short_rings(monkeypatch):
 def no_rounding(monkeypatch):
     """Without the terms of docs/certified.md, section 5, that stand for rounding errors of coefficients."""
     monkeypatch.setattr(certified, "_ROUNDING", 0.0)
-    factors.view_pass.clear_cache()
+    kernel.view_pass.clear_cache()
     yield
-    factors.view_pass.clear_cache()
+    kernel.view_pass.clear_cache()
 
 
 def check_found(found, most):

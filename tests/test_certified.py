@@ -355,8 +355,11 @@ def test_tiles_off_the_screen_need_not_be_cut(rng, tiles):
     ("options", "message"),
     [
         ({"tiles": 0}, "tiles must be a whole number"),
-        ({"method": "slefe", "anisotropic": True}, "knows no anisotropic"),
-        ({"method": "filip", "verify": True}, "knows no verify"),
+        (
+            {"method": "slefe", "anisotropic": True},
+            "method 'slefe' has no anisotropic: its own are segments, k, smooth",
+        ),
+        ({"method": "filip", "verify": True}, "method 'filip' has no verify: it has nothing to set"),
     ],
 )
 def test_bad_options(teapot, main_view, options, message):

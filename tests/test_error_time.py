@@ -20,14 +20,12 @@ def in_an_empty_folder(tmp_path, monkeypatch):
 
 
 @pytest.mark.gl
-def test_run(device, capsys, monkeypatch):
-    few = [m for m in error_time.METHODS if m.name in ("slefe m=3", "filip", "screen-box 8", "fixed 16")]
-    monkeypatch.setattr(error_time, "METHODS", few)
-    monkeypatch.setattr(error_time, "PICTURES", tuple(m.name for m in few))
+def test_run(device, capsys):
+    few = ["slefe m=3", "filip", "screen-box 8", "fixed 16"]
     command = ["error-time", "teapot", "--size", "240x150", "--cameras", "2", "--repeats", "2", "--json"]
-    assert main(command) == 0
+    assert main([*command, "--methods", *few]) == 0
     result = json.loads(capsys.readouterr().out)
-    assert [row["method"] for row in result["rows"]] == ["slefe m=3", "filip", "screen-box 8", "fixed 16"]
+    assert [row["method"] for row in result["rows"]] == few
     assert len(result["table"]) == 8
     for row in result["table"]:
         assert 0 <= row["share_above_1"] <= row["share_above_0.5"] <= row["share_above_0.1"] <= 1
@@ -54,12 +52,9 @@ def test_run(device, capsys, monkeypatch):
 
 @pytest.mark.gl
 @pytest.mark.slow
-def test_names_with_blanks_and_several_scenes(device, capsys, monkeypatch, tmp_path):
+def test_names_with_blanks_and_several_scenes(device, capsys, tmp_path):
     quad = "1\n1 1\n0 0 0\n0 1 0\n1 0 0\n1 1 0.3\n"
     (tmp_path / "my first quad.bpt").write_text(quad)
-    few = [m for m in error_time.METHODS if m.name in ("slefe m=3", "fixed 16")]
-    monkeypatch.setattr(error_time, "METHODS", few)
-    monkeypatch.setattr(error_time, "PICTURES", tuple(m.name for m in few))
     command = [
         "error-time",
         "my first quad.bpt",
@@ -71,6 +66,9 @@ def test_names_with_blanks_and_several_scenes(device, capsys, monkeypatch, tmp_p
         "--repeats",
         "1",
         "--json",
+        "--methods",
+        "slefe m=3",
+        "fixed 16",
     ]
     assert main(command) == 0
     table = json.loads(capsys.readouterr().out)["table"]

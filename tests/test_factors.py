@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from slefejax import Camera, InputError, Session, View, load, slefe_table, tessellation_factors
-from slefejax import factors as factors_module
 from slefejax.bezier import evaluate_patch
+from slefejax.kernel import view_pass
 
 slefe_factors = partial(tessellation_factors, method="slefe")
 
@@ -219,7 +219,7 @@ def test_gradient_by_points_camera_tolerance_and_k(teapot, main_view, rng):
 
 
 def test_one_compilation_a_configuration(teapot, main_view):
-    compiled: Any = factors_module.view_pass
+    compiled: Any = view_pass
     compiled.clear_cache()
     for angle in np.linspace(0, 1, 5):
         view = View(Camera.look_at((6 * np.cos(angle), 6 * np.sin(angle), 3), (0, 0, 1)), 800, 600)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from slefejax import Camera, InputError, View, load, sampled_error, tessellation_factors
-from slefejax.request import METHODS
+from slefejax.methods import METHODS
 
 FAST: dict[str, dict[str, Any]] = {"slefe": {"segments": 1}, "certified": {"tiles": 1}, "fixed": {"setting": 7.0}}
 EYE = jnp.array([4.5, -6.0, 4.0])
@@ -193,7 +193,7 @@ def test_traced_numbers_beyond_their_range_give_nan(method, hard):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"method": "filip", "smooth": 0.1}, "'filip' knows no smooth"),
+        ({"method": "filip", "smooth": 0.1}, "'filip' has no smooth"),
         ({"smooth": 0.1, "verify": True}, "anisotropic and verify find whole numbers"),
         ({"smooth": 0.1, "anisotropic": True}, "anisotropic and verify find whole numbers"),
         ({"smooth": 2.0}, "a temperature of at most 1"),

@@ -29,6 +29,7 @@ LAYERS = [
         "mesh",
         "stencils",
         "skinning",
+        "plain",
     },
     {
         "slefe",
@@ -39,7 +40,9 @@ LAYERS = [
         "rivals",
         "projection",
         "estimate",
-        "request",
+        "packed",
+        "kernel",
+        "methods",
         "nets",
         "certified",
         "verified",

@@ -1,0 +1,37 @@
+"""Dataclasses as plain pytrees: what JAX puts in place of their numbers on the way is not looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import fields
+from typing import Any, TypeVar
+
+import jax
+
+T = TypeVar("T")
+
+
+def plain(*data: str) -> Callable[[type[T]], type[T]]:
+    """Makes a dataclass a pytree: these fields are its children, all others are static.
+
+    A value that JAX puts together again is not checked as one that is made is, and its fields may hold whatever JAX
+    hands over: tracers, None, shapes, stacked numbers.
+    """
+
+    def register(cls: type[T]) -> type[T]:
+        static = tuple(own.name for own in fields(cls) if own.name not in data)  # type: ignore[arg-type]
+
+        def flatten(value: T) -> tuple[list[tuple[Any, Any]], tuple[Any, ...]]:
+            children = [(jax.tree_util.GetAttrKey(name), getattr(value, name)) for name in data]
+            return children, tuple(getattr(value, name) for name in static)
+
+        def unflatten(kept: tuple[Any, ...], children: Iterable[Any]) -> T:
+            value = object.__new__(cls)
+            for name, own in zip((*data, *static), (*children, *kept), strict=True):
+                object.__setattr__(value, name, own)
+            return value
+
+        jax.tree_util.register_pytree_with_keys(cls, flatten, unflatten)
+        return cls
+
+    return register
