@@ -7,6 +7,7 @@
 """
 
 from importlib import import_module
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from slefejax.bspline import bspline_slefe, bspline_slefe_boxes
@@ -32,6 +33,8 @@ from slefejax.triangles import triangle_error
 from slefejax.triangulation import Triangulation, triangulate
 from slefejax.view import Camera, View
 from slefejax.widths import screen_twists, screen_widths
+
+__version__: str  # of the installed package, read from its metadata when it is asked for
 
 if TYPE_CHECKING:
     from slefejax.curves import curve_constant
@@ -100,13 +103,16 @@ __all__ = [
     "worst_points",
 ]
 
+if not TYPE_CHECKING:  # a checker that saw it would take every misspelt name for one that is there
 
-def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    with one_at_a_time:
-        return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    def __getattr__(name: str) -> Any:
+        if name == "__version__":
+            return version(__name__)
+        if name not in _MODULES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        with one_at_a_time:
+            return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *__all__, "__version__"})
