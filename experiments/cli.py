@@ -108,13 +108,9 @@ def _fail(sentence: str, status: int = BAD_INPUT) -> int:
 
 
 def entry() -> None:
-    """What the console script calls. After an interruption compiler threads may still run: leave without waiting."""
+    """Run what was typed, and exit. After an interruption compiler threads may still run: leave without waiting."""
     status = main()
     if status == INTERRUPTED:
         sys.stderr.flush()
         os._exit(status)
     sys.exit(status)
-
-
-if __name__ == "__main__":
-    entry()
