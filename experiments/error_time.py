@@ -11,6 +11,7 @@ import numpy as np
 import tyro
 
 from slefejax import Factors, Scene, View, minimal_factors, sampled_error, tessellation_factors, triangle_error
+from slefejax.cameras import cameras_around
 from slefejax.covering import covering_error
 from slefejax.error import drawn_error
 from slefejax.errors import InputError, naming
@@ -19,7 +20,6 @@ from slefejax.experiments.options import (
     LoadOptions,
     OutputOptions,
     Scenes,
-    cameras_around,
     check_count,
     notes_of,
     parse_size,

@@ -10,8 +10,10 @@ from importlib import import_module
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
+from slefejax.bezier import evaluate_patches
 from slefejax.bspline import bspline_slefe, bspline_slefe_boxes
 from slefejax.budget import Budget, distance_for_budget, real_triangles, tolerance_for_budget
+from slefejax.cameras import cameras_around
 from slefejax.conversion.scheme import Conversion, convert
 from slefejax.deviation import edge_turns, side_turns, surface_distance
 from slefejax.errors import InputError, NoOpenGLError
@@ -27,7 +29,7 @@ from slefejax.session import Session
 from slefejax.skinning import dual_quaternion_blend, linear_blend
 from slefejax.slefe import Slefe, SlefeTable, slefe, slefe_boxes, slefe_table
 from slefejax.supremum import sampled_error, worst_points
-from slefejax.tessellator import with_pieces
+from slefejax.tessellator import triangle_counts, with_pieces
 from slefejax.tiles import slefe_tiles
 from slefejax.triangles import triangle_error
 from slefejax.triangulation import Triangulation, triangulate
@@ -71,11 +73,13 @@ __all__ = [
     "bootstrap_km",
     "bspline_slefe",
     "bspline_slefe_boxes",
+    "cameras_around",
     "convert",
     "curve_constant",
     "distance_for_budget",
     "dual_quaternion_blend",
     "edge_turns",
+    "evaluate_patches",
     "fewer_triangles",
     "fit_km",
     "linear_blend",
@@ -97,6 +101,7 @@ __all__ = [
     "surface_distance",
     "tessellation_factors",
     "tolerance_for_budget",
+    "triangle_counts",
     "triangle_error",
     "triangulate",
     "with_pieces",

@@ -14,7 +14,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from slefejax import layout
-from slefejax.arguments import Number, Patches, Segments, check_patches, check_positive
+from slefejax.arguments import Number, Patches, Segments, check_patches, check_positive, check_weights
 from slefejax.certificate import Certificate
 from slefejax.certified import certified_factors
 from slefejax.drawn import drawn_levels
@@ -26,7 +26,6 @@ from slefejax.request import Request
 from slefejax.rings import Pattern
 from slefejax.rules import RULES, on_screen
 from slefejax.tessellator import with_pieces
-from slefejax.tiles import check_weights
 from slefejax.verified import Nets, drawn_grids_hold, verified_factors
 from slefejax.view import View
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jax.core import Tracer
 
-from slefejax.arguments import Number, Segments, check_choice, check_positive, is_whole, segment_pair
+from slefejax.arguments import Number, Segments, check_choice, check_positive, check_whole, segment_pair
 from slefejax.errors import InputError
 from slefejax.rings import Pattern, direct3d11
 from slefejax.rules import RULES, SETTINGS
@@ -115,8 +115,7 @@ def _check_numbers(method: str, asked: dict[str, bool], tiles: Any, positive: di
     for name, value in asked.items():
         if not isinstance(value, (bool, np.bool_)):
             raise InputError(f"{name} must be True or False, not {value!r}", options=(name,))
-    if not is_whole(tiles, 1):
-        raise InputError(f"tiles must be a whole number of at least 1, not {tiles!r}", options=("tiles",))
+    check_whole("tiles", tiles, 1)
     if method != "certified" and any(asked.values()):
         name = max(asked, key=asked.__getitem__)
         raise InputError(f"method {method!r} knows no {name}: 'certified' does", options=(name,))

@@ -11,14 +11,13 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from slefejax import layout
-from slefejax.arguments import Number, Patches, Segments, check_patches, segment_pair
+from slefejax.arguments import Number, Patches, Segments, check_patches, check_weights, segment_pair
 from slefejax.errors import InputError
 from slefejax.estimate import visible_widths
 from slefejax.maxima import largest_along
 from slefejax.projection import Projection, placed, positive
 from slefejax.request import check_smooth
 from slefejax.slefe import enclose_patch
-from slefejax.tiles import check_weights
 from slefejax.view import View
 
 

@@ -60,7 +60,7 @@ LAYERS = [
         "data",
     },
     {"certificate", "proved", "drawn", "factors", "widths", "curves", "deviation", "minimal", "covering"},
-    {"scene", "session", "testing", "samples", "fitting", "budget", "sensitivity", "relaxing"},
+    {"scene", "cameras", "session", "testing", "samples", "fitting", "budget", "sensitivity", "relaxing"},
 ]
 ANALYSIS = set().union(*LAYERS)
 GROUND = LAYERS[0] | LAYERS[1]
