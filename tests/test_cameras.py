@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slefejax import InputError, Scene, cameras_around, load
+from slefejax import Camera, InputError, Scene, cameras_around, load
 from slefejax.experiments.options import ViewOptions
 
 
@@ -22,9 +22,14 @@ def test_cameras_are_reproducible_and_hold_the_scene(teapot):
         assert np.all((w > 0) & (x >= 0) & (x <= 160 * w) & (y >= 0) & (y <= 100 * w) & (z >= 0) & (z <= w))
 
 
-@pytest.mark.parametrize("name", ["teapot", "walker", "steep-patch"])
+def far_teapot():
+    """A hundred times as large, behind the far plane of its own camera."""
+    return Scene("far", 100 * load("teapot").patches(), Camera.look_at((450, -600, 400), (0, 0, 120)))
+
+
+@pytest.mark.parametrize("name", ["teapot", "walker", "steep-patch", "far"])
 def test_the_first_is_the_view_of_the_commands(name):
-    scene = load(name)
+    scene = far_teapot() if name == "far" else load(name)
     own, wanted = cameras_around(scene, 320, 200, 1)[0], ViewOptions(size="320x200").view(scene)
     assert (own.width, own.height) == (320, 200)
     for field in ("eye", "target", "up", "extent", "near", "far", "perspective"):
