@@ -48,7 +48,7 @@ $(VENV)/base: pyproject.toml constraints.txt
 	@command -v git >/dev/null || echo "git is missing: runs will not record the commit (apt-get install git)" >&2
 	@echo "Setting up $(VENV): a minute or two, once" >&2
 	$(PYTHON) -m venv $(VENV)
-	PIP_CONSTRAINT=constraints.txt $(INSTALL) --editable .
+	PIP_CONSTRAINT=constraints.txt $(INSTALL) --editable '.[app]'
 	@touch $@
 
 $(VENV)/test $(VENV)/lint: $(VENV)/base

@@ -8,6 +8,8 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import slefejax
+
 BAD_INPUT = 2
 INTERRUPTED = 130
 _WORTH_KEEPING = 0.1  # seconds of compilation
@@ -24,12 +26,15 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _run(arguments: list[str] | None) -> int:
+    given = sys.argv[1:] if arguments is None else arguments
+    if given == ["--version"]:
+        print(f"slefejax {slefejax.__version__}")
+        return 0
     # Imported here, so that a package that is missing is one sentence and Ctrl-C is heard from the beginning.
     from slefejax.errors import InputError, NoOpenGLError, OpenGLError
     from slefejax.experiments.options import option_names
     from slefejax.experiments.parsing import NO_CACHE, parsed
 
-    given = sys.argv[1:] if arguments is None else arguments
     command: Any = None
     try:
         command = parsed([argument for argument in given if argument != NO_CACHE])
@@ -103,13 +108,9 @@ def _fail(sentence: str, status: int = BAD_INPUT) -> int:
 
 
 def entry() -> None:
-    """What the console script calls. After an interruption compiler threads may still run: leave without waiting."""
+    """Run what was typed, and exit. After an interruption compiler threads may still run: leave without waiting."""
     status = main()
     if status == INTERRUPTED:
         sys.stderr.flush()
         os._exit(status)
     sys.exit(status)
-
-
-if __name__ == "__main__":
-    entry()

@@ -12,6 +12,7 @@ import tyro
 
 from slefejax import Factors, Scene, View, minimal_factors, sampled_error, tessellation_factors, triangle_error
 from slefejax.arguments import no_such
+from slefejax.cameras import cameras_around
 from slefejax.covering import covering_error
 from slefejax.error import drawn_error
 from slefejax.errors import InputError, naming
@@ -20,7 +21,6 @@ from slefejax.experiments.options import (
     LoadOptions,
     OutputOptions,
     Scenes,
-    cameras_around,
     check_count,
     columns_of,
     notes_of,

@@ -13,13 +13,13 @@ import numpy as np
 import tyro
 
 from slefejax import Camera, Scene, View, load, sampled_error, tessellation_factors
+from slefejax.cameras import cameras_around
 from slefejax.curves import curve_constant, curve_ratios
 from slefejax.errors import InputError, naming
 from slefejax.experiments.options import (
     LoadOptions,
     OutputOptions,
     Scenes,
-    cameras_around,
     check_count,
     notes_of,
     parse_size,

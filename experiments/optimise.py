@@ -9,13 +9,13 @@ import numpy as np
 import tyro
 
 from slefejax import Scene, View, fewer_triangles, sampled_error, save, tessellation_factors
+from slefejax.cameras import cameras_around
 from slefejax.deviation import edge_turns, surface_distance
 from slefejax.errors import InputError
 from slefejax.experiments.options import (
     LoadOptions,
     OutputOptions,
     PredictionOptions,
-    cameras_around,
     check_count,
     parse_size,
 )

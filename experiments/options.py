@@ -21,7 +21,7 @@ from slefejax.methods import Options, Request, method_of, name_of
 from slefejax.rig import Deformation
 from slefejax.scene import Scene, load
 from slefejax.skinning import dual_quaternion_blend, linear_blend
-from slefejax.view import Camera, View, bounding_sphere, frame
+from slefejax.view import Camera, View, bounding_sphere
 
 Three = tuple[float, float, float]
 Scenes = Annotated[
@@ -265,19 +265,3 @@ def check_count(name: str, value: int, least: int = 1) -> None:
     """Raise InputError unless the number is large enough."""
     if value < least:
         raise InputError(f"{name} must be at least {least}, not {value}")
-
-
-def cameras_around(scene: Scene, width: int, height: int, count: int, seed: int) -> list[View]:
-    """The scene's own view, and others that hold all of it, spread over a sphere around it; the same for one seed."""
-    check_count("--seed", seed, 0)
-    rng = np.random.default_rng(seed)
-    turn = rng.uniform(0.0, 2.0 * np.pi)
-    golden = np.pi * (3.0 - np.sqrt(5.0))
-    views = [ViewOptions(size=f"{width}x{height}").view(scene)]
-    for k in range(1, count):
-        z = 0.95 * (1.0 - 2.0 * (k - rng.uniform()) / max(1, count - 1))
-        angle, r = turn + golden * k, np.sqrt(1.0 - z * z)
-        direction = (r * np.cos(angle), r * np.sin(angle), z)
-        camera = frame(scene.points(), direction, aspect=width / height, up=scene.up)
-        views.append(View(camera, width, height))
-    return views

@@ -19,7 +19,7 @@ from slefejax.experiments.commands import COMMANDS, all_commands, command_of
 NO_CACHE = "--no-cache"
 _DESCRIPTION = (
     "How finely must a curved surface be tessellated? Predict it, render it, measure it."
-    f" {NO_CACHE} anywhere: compiled programs are not kept."
+    f" {NO_CACHE} anywhere: compiled programs are not kept. --version alone: which version this is."
 )
 _NOTHING = "none"  # how the help calls a default of None or of no values
 _CONFIG = (

@@ -7,11 +7,14 @@
 """
 
 from importlib import import_module
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from slefejax import methods
+from slefejax.bezier import evaluate_patches
 from slefejax.bspline import bspline_slefe, bspline_slefe_boxes
 from slefejax.budget import Budget, distance_for_budget, real_triangles, tolerance_for_budget
+from slefejax.cameras import cameras_around
 from slefejax.conversion.scheme import Conversion, convert
 from slefejax.deviation import edge_turns, side_turns, surface_distance
 from slefejax.errors import InputError, NoOpenGLError
@@ -28,12 +31,14 @@ from slefejax.session import Session
 from slefejax.skinning import dual_quaternion_blend, linear_blend
 from slefejax.slefe import Slefe, SlefeTable, slefe, slefe_boxes, slefe_table
 from slefejax.supremum import sampled_error, worst_points
-from slefejax.tessellator import with_pieces
+from slefejax.tessellator import triangle_counts, with_pieces
 from slefejax.tiles import slefe_tiles
 from slefejax.triangles import triangle_error
 from slefejax.triangulation import Triangulation, triangulate
 from slefejax.view import Camera, View
 from slefejax.widths import screen_twists, screen_widths
+
+__version__: str  # of the installed package, read from its metadata when it is asked for
 
 if TYPE_CHECKING:
     from slefejax.curves import curve_constant
@@ -70,11 +75,13 @@ __all__ = [
     "bootstrap_km",
     "bspline_slefe",
     "bspline_slefe_boxes",
+    "cameras_around",
     "convert",
     "curve_constant",
     "distance_for_budget",
     "dual_quaternion_blend",
     "edge_turns",
+    "evaluate_patches",
     "fewer_triangles",
     "fit_km",
     "linear_blend",
@@ -98,19 +105,23 @@ __all__ = [
     "surface_distance",
     "tessellation_factors",
     "tolerance_for_budget",
+    "triangle_counts",
     "triangle_error",
     "triangulate",
     "with_pieces",
     "worst_points",
 ]
 
+if not TYPE_CHECKING:  # a checker that saw it would take every misspelt name for one that is there
 
-def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    with one_at_a_time:
-        return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    def __getattr__(name: str) -> Any:
+        if name == "__version__":
+            return version(__name__)
+        if name not in _MODULES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        with one_at_a_time:
+            return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *__all__, "__version__"})

@@ -39,6 +39,12 @@ def check_segments(segments: Any) -> int:
     return int(segments)
 
 
+def check_whole(name: str, value: Any, lowest: int) -> None:
+    """InputError unless the number is a whole one of at least ``lowest``."""
+    if not is_whole(value, lowest):
+        raise InputError(f"{name} must be a whole number of at least {lowest}, not {value!r}", options=(name,))
+
+
 def segment_pair(segments: Segments) -> tuple[int, int]:
     """(m_u, m_v) from one number or two, or InputError."""
     pair = tuple(segments) if isinstance(segments, (tuple, list)) else (segments, segments)
@@ -149,6 +155,20 @@ def check_patches(patches: Patches, dims: tuple[int, ...] | None = (3, 4)) -> An
     if dims is not None and patches.shape[3] not in dims:
         raise InputError(f"control points must have {' or '.join(map(str, dims))} coordinates, not {patches.shape[3]}")
     return patches
+
+
+def check_weights(patches: Any) -> None:
+    """InputError unless all weights of rational patches are positive and finite; the others pass."""
+    if patches.shape[3] != 4 or isinstance(patches, Tracer):
+        return
+    weights = np.asarray(patches)[..., 3]
+    bad = np.flatnonzero(~np.all((weights > 0) & np.isfinite(weights), axis=(1, 2)))
+    if bad.size:
+        worst = weights[bad[0]].min()
+        raise InputError(
+            f"the weights of rational patches must be positive: patch {bad[0]} (counted from 0) has {worst:g}"
+            + (f", and {bad.size - 1} more patches have such weights" if bad.size > 1 else "")
+        )
 
 
 def whole_numbers(values: Any, what: str) -> Int[np.ndarray, "*shape"]:

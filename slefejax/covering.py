@@ -18,10 +18,9 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Int
-from skimage.measure import label, regionprops
-from skimage.morphology import dilation
 
 from slefejax.errors import InputError
+from slefejax.late import one_at_a_time
 
 Mask = Bool[np.ndarray, "height width"]
 
@@ -47,7 +46,9 @@ class Covering:
 
     def regions(self, mask: Mask) -> Int[np.ndarray, "regions"]:
         """Sizes in pixels of the connected regions of a mask, the largest first."""
-        return np.array(sorted((int(r.area) for r in regionprops(label(mask, connectivity=2))), reverse=True), int)
+        measure, _ = _libraries()
+        found = measure.regionprops(measure.label(mask, connectivity=2))
+        return np.array(sorted((int(region.area) for region in found), reverse=True), int)
 
     def summary(self) -> dict[str, Any]:
         """Shares of the covered pixels and sizes of regions, for a table."""
@@ -70,7 +71,8 @@ def covering_error(seen: Any, reference: Any, jump: float = 1e-3) -> Covering:
                       (``slefejax.gpu.GBuffer``); patch -1 and depth 1 for the background
     jump            : difference of window depth between samples of a pixel that makes it a silhouette
 
-    Raises InputError if the reference's size is no multiple, at least the double, of the picture's.
+    Raises InputError if the reference's size is no multiple, at least the double, of the picture's, and where
+    scikit-image (extra ``app``) is not installed.
 
     >>> from types import SimpleNamespace as Buffer
     >>> fine = Buffer(patch=np.zeros((8, 8), int), depth=np.full((8, 8), 0.5))
@@ -98,8 +100,19 @@ def covering_error(seen: Any, reference: Any, jump: float = 1e-3) -> Covering:
     partly = (patches < 0).any(axis=0) & (patches >= 0).any(axis=0)
     jumps = (np.ptp(depths, axis=0) > jump) & (patches >= 0).all(axis=0)
     border = _changes(patches.max(axis=0) < 0)
-    silhouette = dilation(partly | jumps | border, np.ones((3, 3)))
+    _, morphology = _libraries()
+    silhouette = morphology.dilation(partly | jumps | border, np.ones((3, 3)))
     return Covering(wrong_patch, wrong_depth, silhouette.astype(bool), np.asarray((patches >= 0).any(axis=0)))
+
+
+def _libraries() -> tuple[Any, Any]:
+    """``skimage.measure`` and ``skimage.morphology``."""
+    try:
+        with one_at_a_time:
+            from skimage import measure, morphology
+    except ImportError:
+        raise InputError("to compare pictures, install scikit-image (pip install 'slefejax[app]')") from None
+    return measure, morphology
 
 
 def _samples(array: np.ndarray, k: int) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from slefejax.arguments import Number
-from slefejax.bezier import evaluate_patch
+from slefejax.bezier import evaluate_patches
 from slefejax.errors import InputError
 from slefejax.late import one_at_a_time
 from slefejax.view import Camera, Vector, turned_up
@@ -114,10 +114,7 @@ def _quads(patches: np.ndarray) -> Float[np.ndarray, "quads 4 3"]:
     """The patches cut into a few quads each."""
     pieces = int(np.clip(np.sqrt(_CELLS / len(patches)), 1, 8))
     t = np.linspace(0.0, 1.0, pieces + 1)
-    u, v = np.meshgrid(t, t, indexing="ij")
-    control = np.moveaxis(patches, 0, -1)[..., None, None]
-    grid = evaluate_patch(control, u, v)
-    if len(grid) == 4:
-        grid = grid[:3] / grid[3]
-    a, b, c, d = grid[..., :-1, :-1], grid[..., 1:, :-1], grid[..., 1:, 1:], grid[..., :-1, 1:]
-    return np.moveaxis(np.stack([a, b, c, d]), 1, -1).reshape(4, -1, 3).swapaxes(0, 1)
+    places = np.stack(np.meshgrid(t, t, indexing="ij"), axis=-1).reshape(-1, 2)
+    grid = np.reshape(evaluate_patches(patches, places), (len(patches), pieces + 1, pieces + 1, 3))
+    a, b, c, d = grid[:, :-1, :-1], grid[:, 1:, :-1], grid[:, 1:, 1:], grid[:, :-1, 1:]
+    return np.stack([a, b, c, d], axis=3).reshape(-1, 4, 3)

@@ -19,7 +19,16 @@ import numpy as np
 from jax.core import Tracer
 
 from slefejax import layout
-from slefejax.arguments import Number, Patches, Segments, check_positive, did_you_mean, is_whole, no_such, segment_pair
+from slefejax.arguments import (
+    Number,
+    Patches,
+    Segments,
+    check_positive,
+    check_whole,
+    did_you_mean,
+    no_such,
+    segment_pair,
+)
 from slefejax.certified import certified_factors
 from slefejax.errors import InputError
 from slefejax.estimate import Boxes, factor_of_boxes, slefe_factor, slefe_factors
@@ -61,8 +70,7 @@ class Certified(Kernel):
             value = getattr(self, name)
             if not isinstance(value, (bool, np.bool_)):
                 raise InputError(f"{name} must be True or False, not {value!r}", options=(name,))
-        if not is_whole(self.tiles, 1):
-            raise InputError(f"tiles must be a whole number of at least 1, not {self.tiles!r}", options=("tiles",))
+        check_whole("tiles", self.tiles, 1)
         if self.pattern is not None and not isinstance(self.pattern, Pattern):
             raise InputError(f"pattern must be a slefejax.rings.Pattern, not {type(self.pattern).__name__}")
         if self.smooth is not None and self.whole:

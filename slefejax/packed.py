@@ -16,9 +16,8 @@ import numpy as np
 from jax.core import Tracer
 
 from slefejax import layout
-from slefejax.arguments import Patches, check_patches
+from slefejax.arguments import Patches, check_patches, check_weights
 from slefejax.projection import Projection, least_distance, relative
-from slefejax.tiles import check_weights
 from slefejax.view import View
 
 

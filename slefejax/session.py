@@ -20,6 +20,7 @@ from jax.core import Tracer
 from jaxtyping import Float
 
 from slefejax import layout
+from slefejax.arguments import check_weights
 from slefejax.conversion.patchwork import in_layout
 from slefejax.errors import InputError
 from slefejax.estimate import boxes_pass
@@ -32,7 +33,6 @@ from slefejax.rig import Deformation, Pose, check_time
 from slefejax.scene import Scene
 from slefejax.skinning import Influences
 from slefejax.stencils import StencilTable
-from slefejax.tiles import check_weights
 from slefejax.view import View, check_view
 
 PARTS = ("skinning and conversion", "slefe boxes", "view")

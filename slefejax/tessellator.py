@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int, Real
 
-from slefejax.arguments import check_choice
+from slefejax.arguments import Numbers, check_choice, real_numbers
 from slefejax.errors import InputError
 
 HIGHEST_LEVEL = 64  # what OpenGL guarantees, and what drivers offer
@@ -194,17 +194,23 @@ def _check_multiples(inner: Inner, outer: Outer, along: Int[np.ndarray, "patches
         )
 
 
-def triangle_counts(
-    inner: Real[np.ndarray, "patches 2"], outer: Real[np.ndarray, "patches 4"], spacing: str = "equal"
-) -> Int[np.ndarray, "patches"]:
-    """Triangles of every patch, of all of its pieces where it is cut (equal spacing only).
+def triangle_counts(inner: Numbers, outer: Numbers, spacing: str = "equal") -> Int[np.ndarray, "patches"]:
+    """Triangles of every patch, of all of its pieces where it is cut (equal spacing only); 0 of one that is not drawn.
 
-    Raises InputError for levels past 64 that are no multiples of the number of pieces.
+    inner, outer : levels ``(patches, 2)`` along u and v and ``(patches, 4)`` on the edges u=0, v=0, u=1, v=1, such as
+                   ``.inner`` and ``.edges`` of ``Factors``
+    spacing      : how levels become segments: ``"equal"``, ``"fractional-even"`` or ``"fractional-odd"``
+
+    Raises InputError for other shapes, levels that are negative or no numbers, another spacing, and for levels past 64
+    that are no multiples of the number of pieces (``with_pieces`` makes them so).
 
     >>> inner, outer = np.array([[3, 3], [1, 1], [2, 2]]), np.array([[3, 3, 3, 3], [1, 1, 1, 1], [0, 2, 2, 2]])
     >>> triangle_counts(inner, outer).tolist()
     [18, 2, 0]
     """
+    inner, outer = real_numbers(inner, "levels"), real_numbers(outer, "levels")
+    if inner.shape[1:] != (2,) or outer.shape != (inner.shape[0], 4):
+        raise InputError(f"levels must have shapes (patches, 2) and (patches, 4), not {inner.shape} and {outer.shape}")
     inner, outer = segments(inner, spacing), segments(outer, spacing)
     along = pieces_along(inner, outer) if spacing == "equal" else np.ones_like(inner)
     _check_multiples(inner, outer, along)

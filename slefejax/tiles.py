@@ -19,12 +19,10 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 
 from slefejax import layout
-from slefejax.arguments import Patches, Segments, check_patches, segment_pair
+from slefejax.arguments import Patches, Segments, check_patches, check_weights, segment_pair
 from slefejax.bezier import evaluate_patch, restrict
-from slefejax.errors import InputError
 from slefejax.maxima import largest_along, smallest_along
 from slefejax.slefe import Slefe, outward_patch
 
@@ -48,20 +46,6 @@ def slefe_tiles(patches: Patches, segments: Segments) -> Slefe:
     check_weights(patches)
     lower, upper = _tiles_pass(layout.pack(patches), segment_pair(segments))
     return Slefe(layout.unpack(lower, len(patches)), layout.unpack(upper, len(patches)))
-
-
-def check_weights(patches: Any) -> None:
-    """InputError unless all weights of rational patches are positive and finite; the others pass."""
-    if patches.shape[3] != 4 or isinstance(patches, Tracer):
-        return
-    weights = np.asarray(patches)[..., 3]
-    bad = np.flatnonzero(~np.all((weights > 0) & np.isfinite(weights), axis=(1, 2)))
-    if bad.size:
-        worst = weights[bad[0]].min()
-        raise InputError(
-            f"the weights of rational patches must be positive: patch {bad[0]} (counted from 0) has {worst:g}"
-            + (f", and {bad.size - 1} more patches have such weights" if bad.size > 1 else "")
-        )
 
 
 @layout.as_pass(1)

@@ -61,6 +61,15 @@ CALLS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
         sj.with_pieces,
         {"inner": np.full((3, 2), 70), "outer": np.full((3, 4), 70), "numbers": np.arange(12).reshape(3, 4)},
     ),
+    "triangle_counts": (
+        sj.triangle_counts,
+        {"inner": np.full((3, 2), 4), "outer": np.full((3, 4), 4), "spacing": "equal"},
+    ),
+    "evaluate_patches": (sj.evaluate_patches, {"patches": PATCHES, "parameters": np.full((5, 2), 0.5)}),
+    "cameras_around": (
+        sj.cameras_around,
+        {"scene": sj.load("steep-patch"), "width": 160, "height": 100, "count": 3, "seed": 1},
+    ),
     "fit_km": (sj.fit_km, {"samples": SAMPLES, "segments": 3, "target": 0.9, "estimator": "quantile", "more": ()}),
     "bootstrap_km": (sj.bootstrap_km, {"samples": SAMPLES, "segments": 3, "target": 0.9}),
     "curve_constant": (sj.curve_constant, {"degree": 3, "segments": 2}),

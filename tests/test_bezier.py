@@ -3,13 +3,14 @@ from __future__ import annotations
 from fractions import Fraction
 from math import comb
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slefejax import bezier
+from slefejax import InputError, bezier, evaluate_patches
 
 dyadic = st.integers(-64, 64).map(lambda n: n / 8.0)
 
@@ -51,6 +52,80 @@ def test_patch_is_the_tensor_product(rng):
     rows = [[float(exact(control[i, :, c], v)) for c in range(2)] for i in range(4)]
     wanted = [float(exact([row[c] for row in rows], u)) for c in range(2)]
     assert bezier.evaluate_patch(control, np.array(u), np.array(v)).tolist() == wanted
+
+
+def torus_patches(centre=(1.0, 2.0, 3.0), major=2.0, minor=0.5):
+    """Sixteen rational patches, u along the tube, v around the axis; points by trigonometry beside them."""
+    arc = np.array([[1, 0, 1], [1, 1, 1], [0, 2, 2]], float)  # a quarter circle, weights last
+
+    def quarters():
+        for k in range(4):
+            turn = np.linalg.matrix_power(np.array([[0, -1], [1, 0]]), k)
+            yield np.column_stack([arc[:, :2] @ turn.T, arc[:, 2]])
+
+    patches = []
+    for around in quarters():
+        for tube in quarters():
+            x, z, w = tube.T
+            distance = major * w + minor * x  # times the weight
+            xy = distance[:, None, None] * around[None, :, :2]
+            weight = w[:, None] * around[None, :, 2]
+            height = minor * z[:, None] * around[None, :, 2]
+            points = np.concatenate([xy, height[..., None]], axis=-1) + weight[..., None] * np.array(centre)
+            patches.append(np.concatenate([points, weight[..., None]], axis=-1))
+    return np.array(patches)
+
+
+@pytest.mark.parametrize("xp", [np, jnp])
+def test_points_of_rational_patches_lie_on_the_torus(xp, rng, precision):
+    parameters = rng.random((9, 2))
+    found = evaluate_patches(xp.asarray(torus_patches(), precision), parameters)
+    assert isinstance(found, np.ndarray if xp is np else jax.Array)
+    assert found.dtype == precision
+    assert found.shape == (16, 9, 3)
+    x, y, z = np.moveaxis(np.asarray(found, float) - (1.0, 2.0, 3.0), -1, 0)
+    np.testing.assert_allclose(np.hypot(np.hypot(x, y) - 2.0, z), 0.5, rtol=20 * np.finfo(precision).eps)
+
+
+def test_points_of_patches_are_those_of_each_patch(rng):
+    patches, parameters = rng.normal(size=(3, 4, 2, 3)), rng.random((3, 5, 2))
+    own, shared = evaluate_patches(patches, parameters), evaluate_patches(patches, parameters[1].tolist())
+    for p, patch in enumerate(patches):
+        for k, (u, v) in enumerate(parameters[p]):
+            np.testing.assert_allclose(own[p, k], bezier.evaluate_patch(patch, u, v), rtol=1e-14)
+        np.testing.assert_array_equal(shared[p], evaluate_patches(patch[None], parameters[1])[0])
+    assert np.array_equal(own[1], shared[1])
+    assert evaluate_patches(patches, np.zeros((0, 2))).shape == (3, 0, 3)
+
+
+def test_points_have_derivatives_by_patches_and_parameters(rng):
+    patches, at = rng.normal(size=(1, 3, 4, 3)), np.array([[0.25, 0.75]])
+    by_points = jax.grad(lambda points: evaluate_patches(points, at)[0, 0, 2])(jnp.asarray(patches))
+    along_u, along_v = bezier.bernstein(2, 0.25), bezier.bernstein(3, 0.75)
+    np.testing.assert_allclose(by_points[0, :, :, 2], np.outer(along_u, along_v), rtol=1e-6)
+    by_place = jax.jacobian(lambda places: evaluate_patches(patches, places)[0, 0])(jnp.asarray(at))
+    wanted = bezier.evaluate_patch(bezier.derivative(patches[0]), 0.25, 0.75)
+    np.testing.assert_allclose(by_place[:, 0, 0], wanted, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("patches", "parameters", "says"),
+    [
+        (
+            np.zeros((3, 4, 4, 3)),
+            np.zeros((4, 5, 2)),
+            r"of 3 patches must have shape \(places, 2\) or \(3, places, 2\)",
+        ),
+        (np.zeros((3, 4, 4, 3)), np.zeros(2), r"not \(2,\)"),
+        (np.zeros((3, 4, 4, 3)), np.zeros((5, 3)), r"not \(5, 3\)"),
+        (np.zeros((3, 4, 4, 3)), [[0.5, "a"]], "array of numbers"),
+        (np.zeros((4, 4, 3)), np.zeros((5, 2)), r"shape \(patches, du\+1, dv\+1, 3\)"),
+        (np.zeros((3, 4, 4, 4)), np.zeros((5, 2)), "weights of rational patches must be positive: patch 0"),
+    ],
+)
+def test_bad_places_are_one_sentence(patches, parameters, says):
+    with pytest.raises(InputError, match=says):
+        evaluate_patches(patches, parameters)
 
 
 def test_evaluation_carries_batches_along(rng):

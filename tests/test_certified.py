@@ -18,7 +18,7 @@ from slefejax import (
     tessellation_factors,
     triangle_error,
 )
-from slefejax.experiments.options import cameras_around
+from slefejax.cameras import cameras_around
 from slefejax.tessellator import triangle_counts
 
 from .hostile import case

@@ -205,7 +205,7 @@ def test_a_device_that_jax_does_not_have_is_one_sentence(tmp_path):
 
 
 def test_reader_that_has_enough_does_no_harm(tmp_path):
-    command = f"{sys.executable} -m slefejax.experiments.cli factors teapot"
+    command = f"{sys.executable} -m slefejax factors teapot"
     found = subprocess.run(
         ["bash", "-c", f"set -o pipefail; {command} | head -1"], capture_output=True, text=True, cwd=tmp_path
     )

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import sys
 from types import SimpleNamespace as Buffer
 
 import numpy as np
@@ -83,3 +84,9 @@ def test_teapot_gets_better_with_factors(device, teapot):
     assert wrong == sorted(wrong, reverse=True)
     assert wrong[0] > 0.01
     assert wrong[-1] < 0.003
+
+
+def test_a_missing_library_is_one_sentence(monkeypatch):
+    monkeypatch.setitem(sys.modules, "skimage", None)
+    with pytest.raises(InputError, match=r"install scikit-image \(pip install 'slefejax\[app\]'\)"):
+        covering_error(*plain())

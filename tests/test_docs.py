@@ -130,7 +130,7 @@ def test_commands_of_the_docs(device, tmp_path, place, words):
     _, content = figure(np.random.default_rng(1))
     content["animations"][0]["name"] = "Walk"
     save(tmp_path, content, "fox.glb")
-    command = [sys.executable, "-m", "slefejax.experiments.cli", *words]
+    command = [sys.executable, "-m", "slefejax", *words]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-3000:]
     assert "Traceback" not in done.stderr

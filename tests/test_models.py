@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from slefejax import InputError, View, load, sampled_error, tessellation_factors, triangle_error
+from slefejax.cameras import cameras_around
 from slefejax.conversion.acc import acc_patches
 from slefejax.conversion.tangents import tangent_tables
 from slefejax.edges import edge_maxima
 from slefejax.error import SLIPPED, drawn_error, slip
-from slefejax.experiments.options import cameras_around
 from slefejax.tessellator import HIGHEST_LEVEL
 
 pytestmark = pytest.mark.gl

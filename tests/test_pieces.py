@@ -102,6 +102,20 @@ def test_levels_that_are_no_multiples():
         triangle_counts(np.array([[3, 3]]), np.array([[3, 65, 3, 3]]))
 
 
+def test_counts_of_what_are_no_levels():
+    assert triangle_counts([[3, 3]], [[3, 3, 3, 3]]).tolist() == [18], "lists do"
+    right = np.full((2, 2), 3), np.full((2, 4), 3)
+    for inner, outer in ((right[1], right[0]), (right[0], right[1][:1]), (3, 3), (right[0][0], right[1][0])):
+        with pytest.raises(InputError, match=r"levels must have shapes \(patches, 2\) and \(patches, 4\), not"):
+            triangle_counts(inner, outer)
+    with pytest.raises(InputError, match="levels must be real numbers"):
+        triangle_counts([["a", "b"]], right[1][:1])
+    with pytest.raises(InputError, match="levels must be numbers from 0 on"):
+        triangle_counts(-right[0], right[1])
+    with pytest.raises(InputError, match="there is no spacing 'even'"):
+        triangle_counts(*right, spacing="even")
+
+
 def test_rings_of_pieces(rng):
     """Safe levels past 64: on every side of every piece the pattern's ring is short enough, or part of the grid."""
     numbers, pattern = strip(3), direct3d11()

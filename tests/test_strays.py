@@ -11,10 +11,10 @@ import pytest
 import trimesh
 
 from slefejax import Camera, Mesh, Scene, View, convert, tessellation_factors, triangle_error, with_pieces
+from slefejax.cameras import cameras_around
 from slefejax.edges import shared_edges
 from slefejax.error import SLIPPED, drawn_error, pixel_error, slip
 from slefejax.experiments.cli import main
-from slefejax.experiments.options import cameras_around
 from slefejax.gpu import strays
 from slefejax.gpu.strays import drawn_at, nearest_drawn
 from tests.test_gpu import lattice, random_levels

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from slefejax import tessellation_factors, worst_points
+from slefejax.cameras import cameras_around
 from slefejax.error import drawn_error
-from slefejax.experiments.options import cameras_around
 from slefejax.gpu import Renderer
 
 _COMPILED = "/jax/core/compile/backend_compile_duration"

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from slefejax import InputError, View, load, sampled_error, tessellation_factors, triangle_error
+from slefejax.cameras import cameras_around
 from slefejax.defects import find_defects
 from slefejax.error import SLIPPED, drawn_error, slip
-from slefejax.experiments.options import cameras_around
 
 
 @pytest.fixture(scope="module")
