@@ -32,7 +32,7 @@ from slefejax.figures.side_by_side import write_side_by_side
 from slefejax.gpu import GBuffer, Renderer, Triangles, open_device
 from slefejax.tessellator import HIGHEST_LEVEL, pieces, triangle_counts
 
-AREAS = (0.5, 5.0, 10.0, 20.0)  # square pixels; the classes of the papers
+AREAS = (0.5, 5.0, 10.0, 20.0)  # square pixels; the classes of [YBP12], section 7
 
 
 @dataclass(frozen=True)

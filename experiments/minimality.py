@@ -28,7 +28,7 @@ from slefejax.gpu import GBuffer, Renderer, open_device
 from slefejax.gpu.renderer import check_levels
 from slefejax.tessellator import MOST_LEVEL, triangle_counts, with_pieces
 
-THRESHOLDS = (0.1, 0.5, 1.0)  # pixels; the limits of the papers' error colours
+THRESHOLDS = (0.1, 0.5, 1.0)  # pixels; the limits of the error colours of [YBP12]
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def _predict(scene: Scene, view: View, options: PredictionOptions) -> tuple[Fact
 
 
 def _estimate(scene: Scene, view: View, options: PredictionOptions) -> Factors:
-    """The papers' factors, to be shown beside others."""
+    """The published factors, to be shown beside others."""
     own = {"segments": options.segments, "tolerance": options.tolerance, "depth_tolerance": options.depth_tolerance}
     return tessellation_factors(scene.patches(), view, "slefe", k=options.k, edge_numbers=scene.edge_numbers, **own)
 
@@ -139,7 +139,7 @@ class _Sweep:
         }
 
     def estimate(self, scale: float) -> Row:
-        """What the papers' factors lead to at the same scale; NaN where they are too large to be drawn."""
+        """What the published factors lead to at the same scale; NaN where they are too large to be drawn."""
         if self.beside is None:
             return {}
         inner, outer = self.levels(scale, self.beside)

@@ -1,4 +1,4 @@
-"""Tessellation factors of patches in a view: one call for every method (MATH.md, section 3)."""
+"""Tessellation factors of patches in a view: one call for every method (docs/math.md, 3)."""
 
 from __future__ import annotations
 
@@ -145,9 +145,9 @@ def tessellation_factors(
     method          : ``"certified"``, a bound with a proof (docs/certified.md): cut uniformly by any whole number from
                       ``.factor`` on, and as ``.inner`` and ``.edges`` say, every visible point of the patch keeps the
                       tolerance.
-                      ``"slefe"``, the estimate of the papers: k m sqrt(w / tolerance), with w the width in pixels of
-                      the slefe boxes on the screen (2012, eq 7 to 10; animation paper, eq 7). It is not a bound.
-                      For rational patches w is the width of the slefe of X - s W over W (MATH.md, section 6).
+                      ``"slefe"``, the published estimate: k m sqrt(w / tolerance), with w the width in pixels of
+                      the slefe boxes on the screen ([YBP12], (7) to (10); [YBP14], (7)). It is not a bound.
+                      For rational patches w is the width of the slefe of X - s W over W (docs/math.md, 6).
                       The rules of ``slefejax.rules``: ``"filip"`` (a bound), ``"minmax"``, ``"edge-length"``,
                       ``"screen-box"``, ``"fixed"``
     tiles           : of ``certified``: into how many pieces along u and along v a patch is cut to bound it. More are
