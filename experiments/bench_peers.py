@@ -26,7 +26,7 @@ def plain_boxes(patches: np.ndarray, segments: int) -> Pair:
 
 
 def _plain_bounds(c: np.ndarray, segments: int) -> Pair:
-    """Along the last but one axis (2012, eq 2)."""
+    """Along the last but one axis ([YBP12], (2))."""
     low, up = (table.T.astype(c.dtype) for table in slefe_table(c.shape[-2] - 1, segments))
     t = np.arange(segments + 1, dtype=c.dtype)[:, None] / c.dtype.type(segments)
     difference = c[..., :-2, :] - 2 * c[..., 1:-1, :] + c[..., 2:, :]
@@ -36,7 +36,7 @@ def _plain_bounds(c: np.ndarray, segments: int) -> Pair:
 
 
 def plain_factors(boxes: Pair, projection: Projection, tolerance: float, segments: int) -> np.ndarray:
-    """Factors from boxes (2012, eq 7 to 10), the eight corners of each in an array ``(patches, m+1, m+1, 8, 4)``."""
+    """Factors from boxes ([YBP12], (7) to (10)), eight corners of each in an array ``(patches, m+1, m+1, 8, 4)``."""
     lower, upper = boxes
     corners = np.stack([np.where(choice, upper, lower) for choice in product((False, True), repeat=3)], axis=-2)
     corners = np.concatenate([corners, np.ones_like(corners[..., :1])], axis=-1)
@@ -140,7 +140,7 @@ def bones_of(influences: Influences) -> tuple[np.ndarray, np.ndarray]:
 
 
 def plain_pixel_error(patches: np.ndarray, matrix: np.ndarray, u: Any, v: Any, patch: Any, drawn: Any) -> np.ndarray:
-    """The error of all covered pixels (2012, eq 1): control points gathered for each, Bernstein sums by einsum."""
+    """The error of all covered pixels ([YBP12], (1)): control points gathered for each, Bernstein sums by einsum."""
     rows, columns = np.nonzero(patch >= 0)
     own = np.concatenate([patches, np.ones_like(patches[..., :1])], axis=-1)[patch[rows, columns]] @ matrix.T
     degrees = (patches.shape[1] - 1, patches.shape[2] - 1)

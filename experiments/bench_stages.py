@@ -189,7 +189,7 @@ def _in_order(found: Any, count: int) -> np.ndarray:
 
 
 def fused(at: Setting) -> Work:
-    """Control points to factors of the papers' estimate in a view."""
+    """Control points to factors of the published estimate in a view."""
     moved = at.patches - np.asarray(at.projection.origin)
     last = np.ascontiguousarray(np.moveaxis(moved, 0, -1))
 

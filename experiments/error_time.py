@@ -38,7 +38,7 @@ from slefejax.methods import Certified, Slefe, label_of, method_of
 from slefejax.rules import EdgeLength, Filip, Fixed, ScreenBox
 from slefejax.tessellator import HIGHEST_LEVEL, pieces, triangle_counts
 
-AREAS = (0.5, 5.0, 10.0, 20.0)  # square pixels; the classes of the papers
+AREAS = (0.5, 5.0, 10.0, 20.0)  # square pixels; the classes of [YBP12], section 7
 
 
 METHODS: dict[str, Method] = {

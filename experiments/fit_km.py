@@ -32,7 +32,7 @@ from slefejax.samples import TWIST, Samples, measure_factors, slefe_term
 from slefejax.slefe_tables import basis_coefficients
 from slefejax.widths import screen_twists, screen_widths
 
-PUBLISHED = "1.5 … 1 (animation paper); 1, √2 (2012)"
+PUBLISHED = "1.5 … 1 [YBP14]; 1, √2 [YBP12]"
 _CURVES, _PIECES = 20_000, 64
 _UNSEEN = ("twisted-quad", "steep-patch")
 _REPEATS = 7

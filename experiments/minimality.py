@@ -32,7 +32,7 @@ from slefejax.kernel import Method
 from slefejax.methods import Request, Slefe, label_of
 from slefejax.tessellator import MOST_LEVEL, triangle_counts, with_pieces
 
-THRESHOLDS = (0.1, 0.5, 1.0)  # pixels; the limits of the papers' error colours
+THRESHOLDS = (0.1, 0.5, 1.0)  # pixels; the limits of the error colours of [YBP12]
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def _predict(scene: Scene, view: View, request: Request) -> tuple[Factors, dict[
 
 
 def _estimate(scene: Scene, view: View, request: Request) -> Factors:
-    """The papers' factors, to be shown beside others."""
+    """The published factors, to be shown beside others."""
     return predicted(Request(Slefe(), request.tolerances), pack(scene.patches()), view, scene.edge_numbers)
 
 
@@ -144,7 +144,7 @@ class _Sweep:
         }
 
     def estimate(self, scale: float) -> Row:
-        """What the papers' factors lead to at the same scale; NaN where they are too large to be drawn."""
+        """What the published factors lead to at the same scale; NaN where they are too large to be drawn."""
         if self.beside is None:
             return {}
         inner, outer = self.levels(scale, self.beside)

@@ -12,7 +12,7 @@ from slefejax.experiments.frames import Frames, frame_levels, timed
 from slefejax.experiments.store import Row
 from slefejax.gpu import Renderer
 
-POSES_A_SECOND = 33.0  # of the papers (animation paper, section 5)
+POSES_A_SECOND = 33.0  # of [YBP14], section 5
 MODES = ("pose every frame", f"pose at {POSES_A_SECOND:g} Hz, view every frame", "view every frame", "static")
 COLUMNS = ("skinning_ms", "boxes_ms", "view_ms", "levels_ms", "hand_over_ms", "render_ms")
 

@@ -48,7 +48,7 @@ class ViewOptions:
     far: float | None = None
     """Distance of the far clipping plane."""
     cover: float | None = None
-    """Share of the picture that the scene shall cover, 0 to 1; .38, as in the papers, where it has no own camera."""
+    """Share of the picture that the scene shall cover, 0 to 1; .38, as was published, where it has no own camera."""
 
     def view(self, scene: Scene) -> View:
         """The view that these options ask for. Raises InputError for numbers that make no camera."""
@@ -169,7 +169,7 @@ class PredictionOptions:
     """How factors are predicted."""
 
     method: str = "certified"
-    """How factors are predicted: certified (a bound with a proof), slefe (the papers' estimate), filip, minmax,
+    """How factors are predicted: certified (a bound with a proof), slefe (the published estimate), filip, minmax,
     edge-length, screen-box or fixed; or one's own, as my_module:MyMethod."""
     tiles: int | None = None
     """Of certified: pieces along each side that a patch is cut into to bound it; 2 if not given."""

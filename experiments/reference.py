@@ -52,14 +52,14 @@ def screen_matrix(view: View) -> np.ndarray:
 
 
 def boxes(patches: np.ndarray, segments: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper breakpoint values of the slefe (2012, eq 6), ``(patches, m_u+1, m_v+1, dim)``."""
+    """Lower and upper breakpoint values of the slefe ([YBP12], (6)), ``(patches, m_u+1, m_v+1, dim)``."""
     low, high = (np.moveaxis(end, 0, 2) for end in _enclose(np.moveaxis(patches, 2, 0), segments[1]))
     lower = np.moveaxis(_enclose(np.moveaxis(low, 1, 0), segments[0])[0], 0, 1)
     return lower, np.moveaxis(_enclose(np.moveaxis(high, 1, 0), segments[0])[1], 0, 1)
 
 
 def widths(patches: np.ndarray, view: View, segments: tuple[int, int]) -> np.ndarray:
-    """w of every patch in pixels (2012, eq 8) and in window depth, ``(patches, 2)``; -1 off-screen.
+    """w of every patch in pixels ([YBP12], (8)) and in window depth, ``(patches, 2)``; -1 off-screen.
 
     Of rational patches as ``slefejax.screen_widths`` says.
     """
@@ -105,7 +105,7 @@ def outside(patches: np.ndarray, lower: np.ndarray, upper: np.ndarray, places: i
 
 
 def cell_error(patch: np.ndarray, view: View, n: int, u: float, v: float, rows: tuple[int, ...] = (0, 1)) -> Any:
-    """The error at (u, v) on the n x n grid, the larger of both diagonals' (MATH.md, section 4).
+    """The error at (u, v) on the n x n grid, the larger of both diagonals' (docs/math.md, 4).
 
     rows : 0 and 1 for pixels across and up, 2 for window depth
     """
@@ -141,7 +141,7 @@ def _projected(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 
 
 def _enclose(coefficients: np.ndarray, segments: int) -> tuple[np.ndarray, np.ndarray]:
-    """Breakpoint values along the first axis (2012, eq 2)."""
+    """Breakpoint values along the first axis ([YBP12], (2))."""
     degree = len(coefficients) - 1
     lower, upper = [], []
     table = slefe_table(degree, segments) if degree > 1 else None

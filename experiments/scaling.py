@@ -1,4 +1,4 @@
-"""The cost model of a frame: ms = k + c0 patches + c1 triangles + c2 shaded pixels (2012, eq 11), fitted."""
+"""The cost model of a frame: ms = k + c0 patches + c1 triangles + c2 shaded pixels ([YBP12], (11)), fitted."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def split(patches: np.ndarray, parts: int) -> np.ndarray:
 
 
 def fit_costs(measured: list[Row]) -> tuple[list[Row], dict[str, float]]:
-    """Least squares of eq 11: a row a term with its standard error, and R² and the residuals.
+    """Least squares of [YBP12], (11): a row a term with its standard error, and R² and the residuals.
 
     Raises InputError if the measurements do not tell the terms apart.
     """

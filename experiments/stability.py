@@ -152,7 +152,7 @@ def measure(case: Case, dtype: Any) -> Row:
 
 
 def _estimate(wide: np.ndarray, case: Case) -> np.ndarray:
-    """The papers' factors from widths in pixels and depth (2012, eq 9 and 10)."""
+    """The published factors from widths in pixels and depth ([YBP12], (9) and (10))."""
     demand = wide[:, 0] / case.tolerance
     if case.depth_tolerance is not None:
         demand = np.maximum(demand, wide[:, 1] / case.depth_tolerance)

@@ -19,7 +19,7 @@ Errors = tuple[float, int]  # the largest error over the size of what is right, 
 
 
 def valence(value: float, dtype: Any) -> Errors:
-    """The limit point that approximate Catmull-Clark patches share at an extraordinary vertex (MATH.md, section 7)."""
+    """The limit point that approximate Catmull-Clark patches share at an extraordinary vertex (docs/math.md, 7)."""
     n = int(value)
     angle, rng = np.arange(2 * n) * np.pi / n, np.random.default_rng(3)
     ring = np.column_stack([np.cos(angle), np.sin(angle), 0.3 * rng.normal(size=2 * n)])

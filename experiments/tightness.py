@@ -92,7 +92,7 @@ class Tightness:
 
 
 def step_curve(degree: int) -> np.ndarray:
-    """The step-like curve of the papers, (0, -1, 1, 0) for cubics: down, then up."""
+    """The step-like curve of [YBP12], figure 2, (0, -1, 1, 0) for cubics: down, then up."""
     middle = np.sign(np.arange(1, degree) - degree / 2.0)
     return np.concatenate([[0.0], middle if np.any(middle) else [1.0], [0.0]])
 

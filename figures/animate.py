@@ -15,9 +15,9 @@ from slefejax.figures.style import ERROR_CLASSES, METHOD_STYLES, SETTINGS, new_f
 
 Rows = list[dict[str, Any]]
 
-# The animation paper's table 2, in per cent of a frame
+# [YBP14], Table 2, in per cent of a frame
 PUBLISHED = {"skinning_ms": 58.0, "boxes_ms": 4.0, "view_ms": 6.0, "render_ms": 32.0}
-# Okabe and Ito's colours, for the colour-blind
+# Colours for the colour-blind [OI]
 PARTS = {
     "skinning_ms": ("shape keys, skinning, conversion", "#56b4e9"),
     "boxes_ms": ("slefe boxes", "#f0e442"),

@@ -1,4 +1,4 @@
-"""The error of every pixel in the papers' colours: grey, blue, green, red."""
+"""The error of every pixel in the colours of [YBP12]: grey, blue, green, red."""
 
 from __future__ import annotations
 

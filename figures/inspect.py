@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from slefejax.figures.error_image import error_colours
 from slefejax.figures.style import BACKGROUND, ERROR_CLASSES, FACTOR_MAP, SETTINGS, new_figure, occupied, save
 
-# Okabe and Ito's colours, for the colour-blind
+# Colours for the colour-blind [OI]
 KIND_COLOURS = {
     "regular": "#d9d9d9",
     "extraordinary": "#56b4e9",

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-# The papers' error colours, in shades that the colour-blind can tell apart: (limit in pixels, colour, name)
+# The error colours of [YBP12], in shades that the colour-blind can tell apart: (limit in pixels, colour, name)
 ERROR_CLASSES = (
     (0.1, "#c8c8c8", "≤ 0.1 px"),
     (0.5, "#4a7fc1", "≤ 0.5 px"),
@@ -21,7 +21,7 @@ BACKGROUND = "#ffffff"
 _MARGIN = 12  # pixels around what is shown of a picture
 FACTOR_MAP = "viridis"
 
-# One colour (Okabe and Ito's, for the colour-blind) and one mark a method, the same in every figure
+# One colour (for the colour-blind, [OI]) and one mark a method, the same in every figure
 METHOD_STYLES: dict[str, dict[str, Any]] = {
     "certified": {"color": "#009e73", "marker": "*"},
     "slefe": {"color": "#d55e00", "marker": "o"},

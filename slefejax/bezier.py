@@ -1,4 +1,4 @@
-"""Polynomials and tensor-product patches in Bernstein-Bézier form (MATH.md, section 1).
+"""Polynomials and tensor-product patches in Bernstein-Bézier form (docs/math.md, 1).
 
 Coefficients run along the first axes: a curve is ``(d+1, ...)``, a patch ``(du+1, dv+1, ...)``,
 u before v. Whatever follows (coordinates, many patches) is carried along, so the same functions
@@ -22,7 +22,7 @@ Values = Any  # numbers or arrays, NumPy or JAX, that broadcast
 
 
 def bernstein(degree: int, t: Values) -> list[Values]:
-    """The Bernstein polynomials b_j(t) = C(d, j) (1-t)^(d-j) t^j, j = 0 ... d, of MATH.md, section 1.
+    """The Bernstein polynomials b_j(t) = C(d, j) (1-t)^(d-j) t^j, j = 0 ... d, of docs/math.md, 1.
 
     ``t`` may have any shape; the result is a list of ``degree + 1`` arrays of that shape.
 
@@ -55,7 +55,7 @@ def evaluate_curve(coefficients: Float[Array | np.ndarray, "n *rest"], t: Values
 
 
 def evaluate_patch(coefficients: Float[Array | np.ndarray, "nu nv *rest"], u: Values, v: Values) -> Values:
-    """p(u, v) = sum_ij c_ij b_i(u) b_j(v) (2012, eq 5) for coefficients ``(du+1, dv+1, *rest)``.
+    """p(u, v) = sum_ij c_ij b_i(u) b_j(v) ([YBP12], (5)) for coefficients ``(du+1, dv+1, *rest)``.
 
     ``u`` and ``v`` broadcast against ``rest``: with one patch ``(du+1, dv+1, 3, 1)`` and parameters
     ``(n,)`` the result is ``(3, n)``.
@@ -94,7 +94,7 @@ def evaluate_patches(patches: Patches, parameters: Numbers) -> Float[Array | np.
 
 
 def second_differences(coefficients: Shaped[Array | np.ndarray, "n *rest"]) -> Values:
-    """The second differences c_(j-1) - 2 c_j + c_(j+1), j = 1 ... d-1, along the first axis (MATH.md, section 2)."""
+    """The second differences c_(j-1) - 2 c_j + c_(j+1), j = 1 ... d-1, along the first axis (docs/math.md, 2)."""
     return (coefficients[:-2] - coefficients[1:-1]) + (coefficients[2:] - coefficients[1:-1])
 
 

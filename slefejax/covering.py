@@ -1,4 +1,4 @@
-"""Covering accuracy: does the right piece of surface control each pixel? (MATH.md, section 4; 2012, section 3)
+"""Covering accuracy: does the right piece of surface control each pixel? (docs/math.md, 4; [YBP12], section 3)
 
 A picture is compared with a reference of the same view: the scene cut far finer, with several samples in each pixel.
 A pixel is right if what it shows is among what the reference's samples in it show, and in the same depth. It is wrong

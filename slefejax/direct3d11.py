@@ -1,8 +1,8 @@
 """Direct3D 11's tessellator of a quad, on the host: which points and triangles it makes of a patch's levels.
 
-OpenGL leaves the pattern open; drivers follow Direct3D 11's, which is fixed to the last bit. Along an axis or an edge
-of n segments points are numbered 0 ... n and placed with 16 bits (``places``). Inside lies a grid, and along each side
-a *ring* of triangles joins its rim to the edge:
+OpenGL leaves the pattern open; drivers follow Direct3D 11's, which is fixed to the last bit [D3D11]. Along an axis or
+an edge of n segments points are numbered 0 ... n and placed with 16 bits (``places``). Inside lies a grid, and along
+each side a *ring* of triangles joins its rim to the edge:
 
         1-----2-----3-----4      the rim of a grid with n = 5 along this side: its points 1 ... n-1
        / \\   / \\   /|\\   / \\

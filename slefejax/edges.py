@@ -195,7 +195,7 @@ def edge_maxima(
 ) -> Real[np.ndarray, "patches 4"]:
     """For every edge the largest level of the patches that share it; 0 on the edges of a patch with level 0.
 
-    The rule of both papers (MATH.md, section 3): a visible patch keeps its own level where its neighbour is not drawn.
+    [YBP12], section 6 (docs/math.md, 3): a visible patch keeps its own level where its neighbour is not drawn.
     """
     largest = np.zeros(edges.max() + 1, levels.dtype)
     np.maximum.at(largest, edges.ravel(), np.repeat(levels, 4))

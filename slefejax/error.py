@@ -1,4 +1,4 @@
-"""The error of what was drawn, against the exact surface (MATH.md, section 4).
+"""The error of what was drawn, against the exact surface (docs/math.md, 4).
 
 Nothing here is shared with the prediction but the camera. Everything is computed in float64, whatever JAX's
 settings are.
@@ -29,14 +29,14 @@ def pixel_error(
     patch: Int[np.ndarray, "height width"],
     drawn: Float[np.ndarray, "height width 2"] | None = None,
 ) -> Float[np.ndarray, "height width"]:
-    """The parametric error of every pixel: max(|dx|, |dy|) between P(p(u, v)) and where it was drawn (2012, eq 1).
+    """The parametric error of every pixel: max(|dx|, |dy|) between P(p(u, v)) and where it was drawn ([YBP12], (1)).
 
     patches     : control points, ``(patches, du+1, dv+1, 3)`` or, rational, 4 at the end
     u, v, patch : what the renderer found at each pixel centre, row 0 at the bottom; patch -1 where nothing is
     drawn       : where it drew that point, in pixels from the pixel's centre; None: at the centre
     returns     : pixels, float64; NaN where nothing is, infinite where the exact point is not in front of the camera
 
-    Colours in the papers' pictures: grey up to 0.1 pixel, blue up to 0.5, green up to 1, red above.
+    Colours in the pictures of [YBP12]: grey up to 0.1 pixel, blue up to 0.5, green up to 1, red above.
     """
     rows, columns = np.nonzero(patch >= 0)
     error = np.full(patch.shape, np.nan)

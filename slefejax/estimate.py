@@ -1,4 +1,4 @@
-"""The papers' estimate of a factor from projected slefe boxes (2012, section 5; animation paper, section 3).
+"""The published estimate of a factor from projected slefe boxes ([YBP12], section 5; [YBP14], section 3).
 
 Kernels run with the patches along the last axis (``slefejax.layout``): control points ``(du+1, dv+1, 3, lanes)``.
 """
@@ -35,7 +35,7 @@ def slefe_factor(
     smooth: Any,
     segments: tuple[int, int],
 ) -> Float[Array, "lanes"]:
-    """max(tau_xy, tau_z) (2012, eq 10), at least 1 where a tile is on the screen, 0 elsewhere."""
+    """max(tau_xy, tau_z) ([YBP12], (10)), at least 1 where a tile is on the screen, 0 elsewhere."""
     boxes = enclose_patch(control, segments, smooth)
     return factor_of_boxes(boxes, control, projection, tolerance, depth_tolerance, k, smooth, segments)
 
@@ -165,7 +165,7 @@ def visible_widths(
     segments: tuple[int, int],
     with_depth: bool,
 ) -> tuple[Any, Any, Any]:
-    """The largest width of the boxes of visible tiles in pixels (2012, eq 8) and in depth, and if there is one."""
+    """The largest width of the boxes of visible tiles in pixels ([YBP12], (8)) and in depth, and if there is one."""
     lower, upper = boxes
     inside = inside_of_tiles(lower, upper, projection.frustum)
     if lower.shape[2] == 4:
@@ -177,7 +177,7 @@ def visible_widths(
 
 
 def tau(demand: Any, k: Any, m: int, smooth: Any = None) -> Any:
-    """tau = k_m m sqrt(w / tolerance) (2012, eq 9; animation paper, eq 7), but at least 1.
+    """tau = k_m m sqrt(w / tolerance) ([YBP12], (9); [YBP14], (7)), but at least 1.
 
     Below 1 it is constant, so its gradient there is 0, and finite at w = 0.
     """
@@ -188,8 +188,8 @@ def tau(demand: Any, k: Any, m: int, smooth: Any = None) -> Any:
 def inside_of_tiles(lower: Any, upper: Any, frustum: Float[Array, "6 4"]) -> Net:
     """The Q-test: at least 0 for every tile, unless its four boxes lie outside of one and the same plane.
 
-    Where W > 0 this is the test of the rectangle Q against the screen (2012, section 6), with near and far added; it
-    needs no division, so it holds for boxes at and behind the camera too.
+    Where W > 0 this is the test of the rectangle Q against the screen ([YBP12], section 6), with near and far added;
+    it needs no division, so it holds for boxes at and behind the camera too.
     """
     unrolled = _unrolled(lower)
     ends = zip(nets.coordinates(lower, unrolled), nets.coordinates(upper, unrolled), strict=True)
@@ -218,7 +218,7 @@ def _numbers(matrix: Any) -> list[list[Any]]:
 
 
 def visible_maximum(width: Grid, inside: Net, smooth: Any = None) -> Float[Array, "lanes"]:
-    """The largest width (2012, eq 8) over the boxes of the tiles that are on the screen; 0 if there is none."""
+    """The largest width ([YBP12], (8)) over the boxes of the tiles that are on the screen; 0 if there is none."""
     if smooth is not None:
         return _visible_soft_maximum(width, inside, smooth)
     tiles = _tile_maxima(nets.coordinates(width[:, :, None], _unrolled(width))[0])
@@ -270,7 +270,7 @@ def _tile_maxima(net: Net) -> Net:
 def projected_widths(
     lower: Any, upper: Any, projection: Projection, with_depth: bool, smooth: Any = None
 ) -> tuple[Grid, Grid | None]:
-    """Longer side of the rectangle around each projected box (2012, eq 7 and 8), pixels; its extent in window depth.
+    """Longer side of the rectangle around each projected box ([YBP12], (7), (8)), pixels; its extent in window depth.
 
     A corner with W below that of the near plane is measured in the near plane.
     """
@@ -296,7 +296,7 @@ def rational_widths(
     with_depth: bool,
     smooth: Any = None,
 ) -> tuple[Grid, Grid | None]:
-    """The widths of rational patches: those of ``rational_boxes``. The papers have none."""
+    """The widths of rational patches: those of ``rational_boxes`` (docs/math.md, 6)."""
     _, low, high = rational_boxes(control, projection, segments, 3 if with_depth else 2, smooth)
     sides = high - low
     return largest([sides[:, :, 0], sides[:, :, 1]], smooth), sides[:, :, 2] if with_depth else None
@@ -309,7 +309,7 @@ def rational_boxes(
     rows: int,
     smooth: Any = None,
 ) -> tuple[Any, Any, Any]:
-    """Position s on the screen at each breakpoint, and from how far below it to how far above (MATH.md, section 6).
+    """Position s on the screen at each breakpoint, and from how far below it to how far above (docs/math.md, 6).
 
     Each ``(bu, bv, rows, lanes)``, rows of pixels and window depth: the slefe of X - s W, over W. X, Y and W are the
     polynomials of the undivided pixel position, s is X/W at the breakpoint, so x - s = (X - s W)/W, and numerator and

@@ -1,4 +1,4 @@
-"""Tessellation factors of patches in a view: one call for every method (MATH.md, section 3)."""
+"""Tessellation factors of patches in a view: one call for every method (docs/math.md, 3)."""
 
 from __future__ import annotations
 
@@ -174,7 +174,7 @@ def tessellation_factors(
     method          : the name of a method, a value of ``slefejax.methods``, or one's own (``slefejax.kernel``).
                       ``"certified"``, a bound with a proof (docs/certified.md): cut uniformly by any whole number from
                       ``.factor`` on, and as ``.inner`` and ``.edges`` say, every visible point of the patch keeps the
-                      tolerance. ``"slefe"``, the estimate of the papers, which is no bound. The rules of
+                      tolerance. ``"slefe"``, the published estimate ([YBP12], (7) to (10)), which is no bound. The rules of
                       ``slefejax.rules``: ``"filip"`` (a bound), ``"minmax"``, ``"edge-length"``, ``"screen-box"``,
                       ``"fixed"``
     tolerance       : pixels

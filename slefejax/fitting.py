@@ -1,7 +1,7 @@
 """Constants of predictions, k_m and others, fitted to measured minimal factors (docs/fitting.md).
 
 The model is tau^2 = sum_j c_j t_j with terms t_j of ``slefejax.samples`` and coefficients c_j >= 0: with the one term
-m^2 w / tolerance it is the papers' estimate, and k_m^2 its coefficient. Coefficients are fitted so that a given share,
+m^2 w / tolerance it is the published estimate, k_m^2 its coefficient. Coefficients are fitted so that a given share,
 the *target*, of the samples is safe, tau >= needed. The estimators:
 
 largest        the cheapest coefficients with which every sample is safe: the largest ratio, needed over estimate, where

@@ -15,7 +15,7 @@ from slefejax.errors import InputError
 from slefejax.late import one_at_a_time
 from slefejax.view import Camera, Vector, turned_up
 
-PAPERS_SHARE = 0.38  # of the screen that a model covers in the papers (2012, section 4)
+PAPERS_SHARE = 0.38  # of the screen that a model covers in [YBP12], section 7
 DIRECTION = (-0.5, 0.75, -0.4)
 _PICTURE = 300  # pixels along the wider side of the picture in which coverage is measured
 _MARGIN = 0.98  # of half the picture, within which everything stays

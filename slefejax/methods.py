@@ -119,10 +119,10 @@ class Certified(Kernel):
 @plain("k", "smooth")
 @dataclass(frozen=True)
 class Slefe(Kernel):
-    """The estimate of the papers: k m sqrt(w / tolerance), with w the width in pixels of the slefe boxes on the screen.
+    """The published estimate: k m sqrt(w / tolerance), with w the width in pixels of the slefe boxes on the screen.
 
-    (2012, eq 7 to 10; animation paper, eq 7). It is not a bound. For rational patches w is the width of the slefe of
-    X - s W over W (MATH.md, section 6).
+    [YBP12], (7) to (10); [YBP14], (7). It is not a bound. For rational patches w is the width of the slefe of X - s W
+    over W (docs/math.md, 6).
 
     segments : m, or (m_u, m_v); static
     k        : the constant k_m

@@ -1,4 +1,4 @@
-"""Minimal factors: the smallest whole number of pieces that keeps the tolerance (MATH.md, section 4).
+"""Minimal factors: the smallest whole number of pieces that keeps the tolerance (docs/math.md, 4).
 
 The error need not fall from one factor to the next, so a bisection could miss the smallest one. Every factor is
 therefore tried, from 1 upwards, but nearly all are ruled out cheaply: the places where a patch's error was largest at

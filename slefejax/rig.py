@@ -1,4 +1,4 @@
-"""Skeletons, and how their joints move over time (MATH.md, section 8).
+"""Skeletons, and how their joints move over time (docs/math.md, 8).
 
 A skeleton is a tree of joints. Each has a *bind transform*, from its own coordinates to those of the mesh at rest, and,
 in a pose, a *local transform*, from its coordinates to its parent's. The world transform of a joint is that of its

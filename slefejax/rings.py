@@ -2,7 +2,7 @@
 
 OpenGL leaves open how the ring of triangles between a patch's inner grid and its subdivided edges is made, and drivers
 place the points of a grid of n cells with 16 bits, so that some cells are wider than 1/n. A ``Pattern`` says how far
-triangles reach. The one that comes with the package is Direct3D 11's, which drivers follow; ``slefejax doctor``
+triangles reach. The one that comes with the package is Direct3D 11's [D3D11], which drivers follow; ``slefejax doctor``
 compares the driver with it, and ``slefejax.gpu.measure_pattern`` measures another one.
 """
 

@@ -11,9 +11,9 @@ min-max          the smallest and the largest coefficient of a piece (convex hul
 oriented-box     the smallest rectangle (box) of any direction around the control points of the graph
 convex-hull      of the control points of the graph
 disc             the smallest disc around the control points of the graph (curves only)
-filip            chord, or the two triangles of a tile, and the second-derivative bound of Filip, Magedson & Markot
-                 1986: h^2/8 max|p''|, or h^2/8 (max|p_uu| + 2 max|p_uv| + max|p_vv|), by the coefficients of a piece
-control-polygon  the distance from the control polygon of Nairn, Peters & Lutterkort 1999:
+filip            chord, or the two triangles of a tile, and the second-derivative bound of [FMM86]:
+                 h^2/8 max|p''|, or h^2/8 (max|p_uu| + 2 max|p_uv| + max|p_vv|), by the coefficients of a piece
+control-polygon  the distance from the control polygon of [NPL99]:
                  floor(d/2) ceil(d/2) / (2d) max|second difference|; a part of the curve has d legs
 slefe            ``slefejax.slefe``
 optimum          no continuous piecewise-linear enclosure with these breakpoints is narrower (linear programming)
@@ -215,7 +215,7 @@ def _largest_second(c: np.ndarray, axis: int) -> float:
 
 
 def polygon_distance(degree: int) -> float:
-    """Largest distance of p from its control polygon for second differences up to 1 (Nairn, Peters, Lutterkort)."""
+    """Largest distance of p from its control polygon for second differences up to 1 [NPL99]."""
     return (degree // 2) * ((degree + 1) // 2) / (2.0 * degree)
 
 

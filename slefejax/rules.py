@@ -1,9 +1,9 @@
 """Other rules for tessellation factors, to compare with. Kernels run with the patches last (``slefejax.layout``).
 
-filip        the second-derivative bound of Filip, Magedson & Markot 1986, made sound on the screen (``filip``)
+filip        the second-derivative bound of [FMM86], made sound on the screen (``filip``)
 minmax       the control net's extent on the screen over the tolerance: pieces whose box is as small as the tolerance
-edge-length  no edge's control polygon longer than ``setting`` pixels a piece (8: Fisher et al. 2009; no bound)
-screen-box   the longer side of the box around the projection over mu = ``setting`` pixels (2012, section 7; no bound)
+edge-length  no edge's control polygon longer than ``setting`` pixels a piece (8: [FFB09]; no bound)
+screen-box   the longer side of the box around the projection, over mu = ``setting`` px ([YBP12], section 7; no bound)
 fixed        ``setting`` pieces for every patch that is on the screen
 """
 

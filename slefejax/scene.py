@@ -160,7 +160,7 @@ class Scene:
     def default_camera(self, aspect: float = 1.6, cover: Number | None = None, up: Vector | None = None) -> Camera:
         """The scene's own camera, or one that frames it in a picture of that width over height.
 
-        cover : the share of the picture that the scene shall cover; .38, as in the papers, where it has no own camera.
+        cover : the share of the picture that the scene shall cover; .38, as in [YBP12], where it has no own camera.
                 Less where all of it would not be on the screen otherwise
         up    : the direction that is up in the picture; the scene's own if not given
         """

@@ -1,6 +1,6 @@
 """A scene that is looked at again and again: what has changed is computed anew, what has not is kept.
 
-The two passes of the papers (animation paper, section 4), compiled apart: the *pose pass* makes control points (shape
+The two passes of [YBP14], section 4, compiled apart: the *pose pass* makes control points (shape
 keys, skinning, conversion) and, for the method that needs them, their slefe boxes; the *view pass* makes factors of
 them. A pose that is the same leaves the first one out, a view that is the same too the second one as well. What a scene
 or a method has no need of is not part of the programs at all (``Session.left_out``, ``Session.programs``).

@@ -1,4 +1,4 @@
-"""Vertices in motion: shape keys, linear blend skinning, dual-quaternion blending (MATH.md, section 8).
+"""Vertices in motion: shape keys, linear blend skinning, dual-quaternion blending (docs/math.md, 8).
 
 A deformation is a plain function of (rest positions, bone transforms, influences) that returns positions;
 ``linear_blend`` and ``dual_quaternion_blend`` are two, and any other function of that kind can take their place:
@@ -94,7 +94,7 @@ def linear_blend(rest: Any, transforms: Any, influences: Influences) -> Any:
 
 
 def dual_quaternion_blend(rest: Any, transforms: Any, influences: Influences) -> Any:
-    """Blends rigid motions, so that limbs that twist keep their volume (Kavan, Collins, Zara and O'Sullivan 2008).
+    """Blends rigid motions, so that limbs that twist keep their volume [KCZO08].
 
     As ``linear_blend``. Of a transform that scales or shears, M = R P with a rotation R and a symmetric P, P is blended
     linearly and applied first, then the rigid motions, as UsdSkel does. Quaternions are blended on the side of the
@@ -169,7 +169,7 @@ def _on_one_side(both: Any, influences: Influences) -> Any:
 def quaternions(rotations: Any) -> Any:
     """Unit quaternions (w, x, y, z), of either sign, of rotation matrices ``(..., 3, 3)``; scale does not matter.
 
-    Of the four formulas that divide by one component each, the one with the largest is taken (Shepperd 1978).
+    Of the four formulas that divide by one component each, the one with the largest is taken [She78].
     """
     scale = jnp.linalg.norm(rotations, axis=-1, keepdims=True)
     m = rotations / jnp.where(scale > 0, scale, 1.0)

@@ -4,7 +4,7 @@ A polynomial of degree d in Bézier form is its chord plus a combination of d-1 
 p = l + sum_j D_j a_j, with D_j = c_(j-1) - 2 c_j + c_(j+1) its second differences and a_j the polynomial
 with end coefficients 0 whose own second differences are all 0 but the j-th, which is 1. Bounds of the
 a_j by piecewise-linear functions over m equal segments, tabulated once, bound every polynomial of that
-degree (MATH.md, section 2; 2012, eq 2; animation paper, eq 4).
+degree (docs/math.md, 2; [YBP12], (2); [YBP14], (4)).
 
 What users get is rounded outwards: it encloses the polynomial with exactly the given coefficients, whatever the
 precision (``outward``). The estimate of factors is no bound and does without.
@@ -62,8 +62,8 @@ def slefe_table(degree: Any, segments: Any) -> SlefeTable:
     """The table of degree ``degree`` with ``segments`` equal pieces, computed once and kept.
 
     Returns ``.lower`` and ``.upper``, each ``(degree-1, segments+1)`` float64, read-only; row j-1 holds the
-    values of the bounds of a_j at the breakpoints 0, 1/segments, ..., 1 (MATH.md, section 2; Table 1 of the
-    papers is degree 3 with 3 segments).
+    values of the bounds of a_j at the breakpoints 0, 1/segments, ..., 1 (docs/math.md, 2; Table 1 of [YBP12]
+    is degree 3 with 3 segments).
 
     The upper bound of the convex a_j is its own chord interpolant. The lower bound makes the largest gap
     over the breakpoints as small as possible, then the next largest, and so on. Both are rounded outwards:
@@ -92,7 +92,7 @@ def _table(degree: int, segments: int) -> SlefeTable:
 
 
 def slefe(coefficients: Numbers, segments: Any, axis: int = -1) -> Slefe:
-    """The slefe of polynomials of any degree >= 1 (MATH.md, section 2; 2012, eq 2).
+    """The slefe of polynomials of any degree >= 1 (docs/math.md, 2; [YBP12], (2)).
 
     coefficients : Bézier coefficients, degree + 1 of them along ``axis``; other axes are carried along
     segments     : number m of equal pieces
@@ -115,14 +115,14 @@ def slefe(coefficients: Numbers, segments: Any, axis: int = -1) -> Slefe:
 
 
 def slefe_boxes(patches: Patches, segments: Segments) -> Slefe:
-    """Slefe boxes of tensor-product patches of any bi-degree (2012, eq 6; animation paper, eq 5).
+    """Slefe boxes of tensor-product patches of any bi-degree ([YBP12], (6); [YBP14], (5)).
 
     patches  : control points ``(patches, du+1, dv+1, dim)``, u before v; every coordinate by itself
     segments : m, or (m_u, m_v)
     returns  : ``.lower`` and ``.upper``, ``(patches, m_u+1, m_v+1, dim)``, in the dtype of the control points
 
     The bilinear interpolants of the four corners of a tile enclose the patch on that tile: bounds in v first, and
-    their bounds in u then (appendix of the 2012 paper). Rounded outwards, as ``slefe``. Raises InputError for a wrong
+    their bounds in u then ([YBP12], appendix). Rounded outwards, as ``slefe``. Raises InputError for a wrong
     shape or segments < 1.
 
     >>> flat = np.zeros((5, 4, 4, 3))
@@ -163,7 +163,7 @@ class Smooth(NamedTuple):
 
 
 def enclose(coefficients: Float[Array, "n *rest"], segments: int, smooth: Smooth | None = None) -> tuple[Any, Any]:
-    """Lower and upper breakpoint values along the first axis, for use inside kernels (2012, eq 2)."""
+    """Lower and upper breakpoint values along the first axis, for use inside kernels ([YBP12], (2))."""
     table = _table_of(coefficients, segments)
     if smooth is not None or table.lower.size > _UNROLLED:
         return enclose_at(coefficients[:, None], segments, smooth)
@@ -207,7 +207,7 @@ def _signed(differences: list[Any], smooth: Smooth | None) -> list[tuple[Any, An
 
 
 def _bounds(ends: tuple[Any, Any], signed: list[tuple[Any, Any]], t: Any, low: Any, up: Any) -> tuple[Any, Any]:
-    """Lower and upper values at t, from those of the tables there (2012, eq 2).
+    """Lower and upper values at t, from those of the tables there ([YBP12], (2)).
 
     upper = l + sum_j max(0, D_j) a_up_j + min(0, D_j) a_low_j; lower with max and min exchanged.
     """

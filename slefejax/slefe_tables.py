@@ -1,7 +1,7 @@
 """How the slefe tables are computed: the lexicographically optimal bounds of the a_j.
 
 a_j has degree d, end coefficients 0, and the j-th second difference 1, all others 0. It is convex with
-a_j'' = d (d-1) b_(j-1)^(d-2) (MATH.md, section 2). On one segment write a_j = chord + sag, the sag convex,
+a_j'' = d (d-1) b_(j-1)^(d-2) (docs/math.md, 2). On one segment write a_j = chord + sag, the sag convex,
 at most 0, and 0 at both ends. A line that lies g_0 below a_j at the left breakpoint and g_1 below it at the right
 one stays below a_j between them exactly if g_1 >= phi(g_0), where phi decreases: the line through the left
 point that touches a_j. So the smallest gap that both ends of a segment can share is the depth of
@@ -30,7 +30,7 @@ OUTWARD = 2.0**-48
 
 
 def basis_coefficients(degree: int, j: int) -> list[Fraction]:
-    """Exact Bézier coefficients of a_j: -i (d-j)/d up to i = j, -j (d-i)/d from there (MATH.md, section 2)."""
+    """Exact Bézier coefficients of a_j: -i (d-j)/d up to i = j, -j (d-i)/d from there (docs/math.md, 2)."""
     return [Fraction(-min(i * (degree - j), j * (degree - i)), degree) for i in range(degree + 1)]
 
 

@@ -1,4 +1,4 @@
-"""The error over the whole domain, not only at pixels: the supremum of MATH.md, section 4.
+"""The error over the whole domain, not only at pixels: the supremum of docs/math.md, 4.
 
 The pixel of a triangle at parameters (u, v) is P(L(u, v)), with L the linear interpolant of the triangle's undivided
 homogeneous vertices, and the surface point of the same parameters is seen at P(p(u, v)). The error there is the

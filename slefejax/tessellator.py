@@ -2,12 +2,12 @@
 
 Levels: ``inner`` along u and v, ``outer`` on the edges u=0, v=0, u=1, v=1. A patch with an outer level of 0 is dropped.
 Each level becomes a number of segments (``segments``); with equal spacing levels are whole numbers and that number
-itself. All six of 1 give two triangles; otherwise an inner one of 1 acts as the next that there is (OpenGL 4.6 core,
+itself. All six of 1 give two triangles; otherwise an inner one of 1 acts as the next that there is (OpenGL [GL46],
 sections 11.2.2 and 11.2.2.2). Inside lies a grid of inner_u - 2 by inner_v - 2 cells; a ring of triangles joins its rim
 to the edges.
 
 Past level 64 a patch is cut in its domain, along u into the smallest power of two of equal *pieces* with which the
-inner level along u and the levels of the edges v=0 and v=1 are at most 64 a piece, along v likewise (MATH.md, section
+inner level along u and the levels of the edges v=0 and v=1 are at most 64 a piece, along v likewise (docs/math.md,
 3). Each piece is tessellated by itself, with the patch's levels over the number of pieces, so these have to be whole:
 the levels along an axis are multiples of the number of pieces along it (``with_pieces`` sees to that). Vertices lie at
 k/n of the whole patch's levels n, whatever the pieces: a neighbour that is cut otherwise, or not at all, has the same

@@ -49,7 +49,7 @@ def assert_encloses(
 
 
 def assert_pixel_accurate(patches: Any, view: View, seen: Any, *, tolerance: float = 0.5, share: float = 0.0) -> None:
-    """Assert that the covered pixels of a picture are right to within ``tolerance`` pixels (2012, eq 1).
+    """Assert that the covered pixels of a picture are right to within ``tolerance`` pixels ([YBP12], (1)).
 
     patches : control points ``(patches, du+1, dv+1, 3)``, or 4 at the end if rational
     seen    : what was rendered from them in this view, a ``slefejax.gpu.GBuffer`` or anything with ``.u``, ``.v`` and

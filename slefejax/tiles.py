@@ -2,10 +2,10 @@
 
 A rational patch is x = X/W with polynomial X and W > 0 (homogeneous control points w x, w y, w z, w). Quotients of the
 slefes of X and of W at the breakpoints do not enclose x between them: for 1/(1+u) with one segment both slefes are
-exact lines, the quotients are the end values, and their interpolant is off by .083. What holds on a tile:
+exact lines, the quotients are the end values, and their interpolant is off by .086. What holds on a tile:
 
 - the hull of the tile's own control points, projected, holds it;
-- for any number s, x - s = g/W with the polynomial g = X - s W (MATH.md, section 6), whose slefe is narrow where s is
+- for any number s, x - s = g/W with the polynomial g = X - s W (docs/math.md, 6), whose slefe is narrow where s is
   near x; s is the value at the tile's middle. There g <= G and L <= W <= U, with bilinear interpolants G, L, U of slefe
   values at its corners, L > 0, so g/W is at most the larger of G/L and G/U; a quotient of bilinear functions with a
   positive denominator is monotone along every parameter line, so largest at a corner. Likewise from below.

@@ -25,9 +25,9 @@ from slefejax.view import View, check_view
 def screen_widths(
     patches: Patches, view: View, segments: Segments = 3, smooth: Number | None = None
 ) -> Float[Array, "patches"]:
-    """w, the largest side in pixels of the slefe boxes on the screen (2012, eq 8); 0 for a patch that is off-screen.
+    """w, the largest side in pixels of the slefe boxes on the screen ([YBP12], (8)); 0 for a patch that is off-screen.
 
-    The estimate of the papers is k m sqrt(w / tolerance), but at least 1. Arguments, errors and derivatives as of
+    The published estimate is k m sqrt(w / tolerance), but at least 1. Arguments, errors and derivatives as of
     ``slefejax.tessellation_factors`` with method ``slefe``.
 
     >>> from slefejax import Camera, load

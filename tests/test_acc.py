@@ -122,7 +122,7 @@ def stencil(work, mesh, point):
 
 
 def test_the_published_stencils_for_triangles():
-    """Figure 6-6 of the dissertation, n = 8 triangles around vertex 0, quads outside; and a mixed vertex."""
+    """[Yeo12], figure 6-6, n = 8 triangles around vertex 0, quads outside; and a mixed vertex."""
     n = 8
     mesh = triangle_fan(n)
     work = acc_patches(mesh)

@@ -200,7 +200,7 @@ def assert_is_just_above(factor, exact):
 
 
 def test_twisted_quad(precision):
-    """62.5 px for one cell (MATH.md, section 5), a quarter for each halving: 12 cells at half a pixel."""
+    """62.5 px for one cell (docs/math.md, 5), a quarter for each halving: 12 cells at half a pixel."""
     quad = np.array([[[[0.0, 0, 0], [0, 500, 0]], [[500, 0, 0], [750, 500, 0]]]], precision)
     view = View(Camera.orthographic((400, 300, 5), (400, 300, 0), up=(0, 1, 0), height=900.0), 1440, 900)
     for tiles in (1, 2):

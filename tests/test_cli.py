@@ -33,7 +33,7 @@ def run_json(capsys, *arguments):
 
 @pytest.mark.gl
 def test_minimality_reaches_the_published_numbers(device, capsys, tmp_path):
-    """Uniform edges, as the numbers of the main job were measured (MATH.md, section 5)."""
+    """Uniform edges, as the numbers of docs/math.md, 5 were measured."""
     result = run_json(
         capsys, "minimality", "teapot", "--method", "slefe", "--edges", "own", "--out", str(tmp_path / "there")
     )

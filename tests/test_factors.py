@@ -18,7 +18,7 @@ slefe_factors = partial(tessellation_factors, method="slefe")
 
 
 def bounds_by_loops(c, m):
-    """Slefe of one polynomial from the table, in plain loops (2012, eq 2)."""
+    """Slefe of one polynomial from the table, in plain loops ([YBP12], (2))."""
     d = len(c) - 1
     table = slefe_table(max(d, 2), m)
     lower, upper = [], []
@@ -47,7 +47,7 @@ def screen_by_hand(view, point):
 
 
 def factor_by_loops(patch, view, m, tolerance, k=1.0, depth_tolerance=None):
-    """One patch with everything in front of the camera, in plain loops: 2012, eq 6 to 10 and the Q-test."""
+    """One patch with everything in front of the camera, in plain loops: [YBP12], (6) to (10), the Q-test."""
     n = m + 1
     lower, upper = np.zeros((n, n, 3)), np.zeros((n, n, 3))
     for c in range(3):
@@ -109,7 +109,7 @@ def test_against_plain_loops_at_the_border_of_the_screen(degrees, rng, precision
 
 
 def test_published_sums(teapot, main_view, precision):
-    """MATH.md, section 5: m = 3, k = 1, at 1 and at 1/2 pixel."""
+    """docs/math.md, 5: m = 3, k = 1, at 1 and at 1/2 pixel."""
     for tolerance, total in ((1.0, 380.316), (0.5, 537.849)):
         factors = slefe_factors(teapot.patches(), main_view, segments=3, tolerance=tolerance)
         assert factors.factor.dtype == precision

@@ -7,7 +7,7 @@ from slefejax.rings import Pattern, direct3d11, safe_levels
 
 
 def test_known_rings():
-    """Inner 11 with an edge of 64 reaches 1.625 cells, 38 with 64 3.44 cells (MATH.md, section 5), equal ones one."""
+    """Inner 11 with an edge of 64 reaches 1.625 cells, 38 with 64 3.44 cells (docs/math.md, 5), equal ones one."""
     reach = direct3d11().reach
     assert 11 * reach[11, 64] == pytest.approx(1.625, abs=1e-3)
     assert 38 * reach[38, 64] == pytest.approx(3.44, abs=5e-3)

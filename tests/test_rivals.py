@@ -17,7 +17,7 @@ from slefejax.rivals import (
 )
 from slefejax.testing import assert_encloses
 
-STEP = np.array([0.0, -1.0, 1.0, 0.0])  # the step-like cubic of the papers
+STEP = np.array([0.0, -1.0, 1.0, 0.0])  # the step-like cubic of [YBP12], figure 2
 WORST = np.array([0.0, -2 / 3, -1 / 3, 0.0])  # second differences (1, 0)
 
 
@@ -52,7 +52,7 @@ def test_regions_hold_the_curve(method, pieces, rng):
     [("slefe", 0.0695214343), ("optimum", 0.0695214343), ("filip", 2 * 0.75 / 9), ("control-polygon", 2 / 3)],
 )
 def test_numbers_of_the_worst_cubic(method, width):
-    """MATH.md, sections 2 and 5: .0695; Filip's one-sided 6/8, .083 in three pieces; N(3) = 1/3 on either side."""
+    """docs/math.md, 2, 5 and 10: .0695; Filip's one-sided 6/8, .083 in three pieces; N(3) = 1/3 on either side."""
     assert enclose_curve(method, WORST, 3).width == pytest.approx(width, abs=1e-9)
     assert enclose_curve("filip", WORST, 1).width == pytest.approx(2 * 0.75)
     assert enclose_curve("min-max", WORST, 1).width == pytest.approx(2 / 3)

@@ -58,7 +58,7 @@ def test_patches_stay_inside(degrees, segments, rng, precision):
 
 
 def test_worst_cubic_is_the_table(precision):
-    """Second differences (1, 0): the enclosure's width is the table's, .0695 of MATH.md, section 2."""
+    """Second differences (1, 0): the enclosure's width is the table's, .0695 of docs/math.md, 2."""
     curve = np.array([0.0, -2 / 3, -1 / 3, 0.0], precision)
     lower, upper = slefe(curve, 3)
     table = slefe_table(3, 3)
@@ -70,7 +70,7 @@ def test_worst_cubic_is_the_table(precision):
 
 @pytest.mark.parametrize("degree", [3, 4, 6])
 def test_width_shrinks_with_the_square_of_the_interval(degree, rng):
-    """2012, eq 4: restricting to length h scales the largest second difference, hence the width, by h^2 at most."""
+    """Restricting to length h scales the largest second difference by h^2, and not the width ([YBP12], (4))."""
     for _ in range(20):
         curve = rng.normal(size=degree + 1)
         h = rng.uniform(0.05, 0.9)

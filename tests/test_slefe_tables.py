@@ -55,7 +55,7 @@ def test_table_1_of_the_papers():
     # as printed: ten digits for the first two, and what follows from the printed six for the others
     assert np.round(table.lower[0], 10).tolist()[:2] == [-0.0695214343, -0.4398918047]
     assert np.trunc(table.lower[0] * 1e6).tolist() == [-69521, -439891, -315351, -8732]
-    # the three numbers of the papers about a_1: width < .07, min-max bound 2/3
+    # the numbers beside figure 3 of [YBP12], which are about a_1: width < .07, min-max bound 2/3
     assert 0.0695 < (table.upper - table.lower)[0].max() < 0.07
     assert -min(basis_coefficients(3, 1)) == Fraction(2, 3)
 

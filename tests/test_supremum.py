@@ -74,7 +74,7 @@ def error_by_loops(patch, view, nu, nv, samples):
 
 @pytest.mark.parametrize(("side", "error"), [(1.1, 12.5), (1.5, 62.5)])
 def test_twist_as_measured(side, error):
-    """MATH.md, section 5: a flat 500 px quad, one side 1.1 (1.5) times as long, as one quad; at its middle."""
+    """docs/math.md, 5: a flat 500 px quad, one side 1.1 (1.5) times as long, as one quad; at its middle."""
     found = worst_points(quad(side), [1], flat_view())
     assert found.error[0] == pytest.approx(error, abs=1e-9)
     assert (found.u[0], found.v[0]) == (0.5, 0.5)
@@ -87,7 +87,7 @@ def test_parabola_by_hand(n):
 
 
 def test_published_figures_of_the_teapot(teapot, main_view):
-    """MATH.md, section 5: 97 % and 19 % of the patches above 1/2 and 1 px, at most 1.68; 34 % and .86 with root 2."""
+    """docs/math.md, 5: 97 % and 19 % of the patches above 1/2 and 1 px, at most 1.68; 34 % and .86 with root 2."""
     for tolerance, above_half, above_one, largest in ((1.0, 31, 6, 1.68), (0.5, 11, 0, 0.86)):
         factors = tessellation_factors(teapot.patches(), main_view, "slefe", tolerance=tolerance)
         error = sampled_error(teapot.patches(), factors, main_view)
@@ -149,7 +149,7 @@ def test_pairs_cut_along_u_and_v(rng):
 
 
 def test_minimal_factors_of_the_teapot(teapot, main_view):
-    """20,178 triangles at half a pixel (MATH.md, section 5); each keeps the tolerance, and nothing smaller does."""
+    """20,178 triangles at half a pixel (docs/math.md, 5); each keeps the tolerance, and nothing smaller does."""
     factors = minimal_factors(teapot.patches(), main_view)
     assert (2 * factors**2).sum() == pytest.approx(20_178, rel=0.01)
     assert sampled_error(teapot.patches(), factors, main_view).max() <= 0.5
@@ -268,7 +268,7 @@ def test_rendered_pixels_agree_on_other_surfaces(device, rng, degree):
 
 @pytest.mark.gl
 def test_transition_rings_break_the_papers_rule(device, teapot, main_view):
-    """MATH.md, section 5: raising an edge's factor to the neighbour's can multiply the error."""
+    """docs/math.md, 5: raising an edge's factor to the neighbour's can multiply the error."""
     from slefejax.gpu import Renderer
 
     factors = tessellation_factors(teapot.patches(), main_view, "slefe")

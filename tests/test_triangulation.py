@@ -190,7 +190,7 @@ def test_rational_positions_and_normals(rng):
 
 
 def test_factors_and_captured_triangles_have_one_error(teapot, main_view):
-    """Triangles of factors keep the tolerance; the papers' 34 % unsafe patches are seen."""
+    """Triangles of factors keep the tolerance; the published estimate's 34 % unsafe patches are seen."""
     patches = teapot.patches()
     for method, safe in (("certified", True), ("slefe", False)):
         factors = tessellation_factors(patches, main_view, method, edge_numbers=teapot.edge_numbers)

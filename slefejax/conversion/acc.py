@@ -1,15 +1,15 @@
-"""Approximate Catmull-Clark: one bicubic patch a face, and pinched quads for triangles (MATH.md, section 7).
+"""Approximate Catmull-Clark: one bicubic patch a face, and pinched quads for triangles (docs/math.md, 7).
 
 Everything is put together from one mask a face corner. At vertex V of valence n, in a face of which W and X are the
 neighbours of V and D (in a quad) is opposite:
 
-    quad:      n V + 2 W + 2 X + D        triangle:  n V + a W + a X        with a = alpha, 2.5 in the dissertation
+    quad:      n V + 2 W + 2 X + D        triangle:  n V + a W + a X        with a = alpha, 2.5 in [Yeo12]
 
 - the interior point next to V is the mask of its face;
 - the edge point at V towards W is the sum of the masks of the two faces of that edge;
 - the corner point is the sum of the masks of all faces around V;
 
-each divided by the sum of its weights (dissertation, figures 6-3 and 6-6). Along a boundary or a crease that is sharp,
+each divided by the sum of its weights ([LS08]; [Yeo12], figures 6-3, 6-6). Along a boundary or a crease that is sharp,
 edge points are (2 V + W)/3, and corner points (X + 4 V + W)/6 or, where V is a corner, V itself. Faces on one side of
 a crease do not see those on the other; n is twice their number there, at a corner four times.
 

@@ -7,8 +7,8 @@ a quad, in the order of the corners:
             |             |
             V --------- edge
 
-An edge of sharpness s is sharp for s steps; the step in which it becomes smooth is a blend of both rules (DeRose, Kass
-and Truong 1998). A vertex is smooth with fewer than two sharp edges, on a crease with two, and stays where it is
+An edge of sharpness s is sharp for s steps; the step in which it becomes smooth is a blend of both rules
+[DKT98]. A vertex is smooth with fewer than two sharp edges, on a crease with two, and stays where it is
 with more, or if it belongs to one face only. Boundaries are infinitely sharp.
 """
 

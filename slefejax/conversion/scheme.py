@@ -65,7 +65,7 @@ def convert(mesh: Mesh, scheme: str = "auto", alpha: Any = ALPHA, steps: Any = N
              meshes, where it is exact; ``"catmull-clark+acc"`` for any, by steps of subdivision first, each of which
              makes four times as many patches; ``"auto"``: pinched quads where there are triangles (none of them
              quadruples all patches), subdivision only where there are faces of more than four vertices
-    alpha  : of triangles: the weight of a neighbour, positive; the dissertation takes 2.5
+    alpha  : of triangles: the weight of a neighbour, positive; [Yeo12] takes 2.5
     steps  : of ``"catmull-clark+acc"``: how many; 1 if not given
 
     Raises InputError for a scheme that the mesh does not allow, with the number of the face or vertex.

@@ -1,4 +1,4 @@
-"""Tangent patches: a pair of vector fields a patch whose normals agree across edges, for shading (Loop, Schaefer 2008).
+"""Tangent patches: a pair of vector fields a patch whose normals agree across edges, for shading [LS08].
 
 The patches of ``acc`` join, but not smoothly where the valence is not 4. Their derivatives are therefore replaced, at
 the corners by limit tangents of the Catmull-Clark surface and along the edges so that both sides span one plane. Along
@@ -167,7 +167,7 @@ def _waves(around: Neighbourhood, edge: Any, diagonal: Any, phase: Any, chosen: 
 
 
 def _closed_frame(around: Neighbourhood) -> tuple[StencilTable, StencilTable]:
-    """Limit tangents of an interior vertex (Loop and Schaefer 2008, section 4; the scale of a B-spline for n = 4).
+    """Limit tangents of an interior vertex ([LS08], section 4; the scale of a B-spline for n = 4).
 
     Edge weights (1/n + c/(n s)) cos(k t), diagonal ones cos((k + 1/2) t)/(n s), with c = cos(pi/n), s = sqrt(4 + c^2).
     """

@@ -11,7 +11,7 @@ STEEP_EYE, STEEP_TARGET, STEEP_FOV = (0.0, -0.9, 0.8), (0.0, 2.0, 0.0), 75.0
 
 
 def twisted_quad() -> Float[np.ndarray, "1 2 2 3"]:
-    """A flat quad with sides of 5 and one of 7.5: no second differences, but a twist (MATH.md, section 5)."""
+    """A flat quad with sides of 5 and one of 7.5: no second differences, but a twist (docs/math.md, 5)."""
     return np.array([[[[0.0, 0.0, 0.0], [0.0, 5.0, 0.0]], [[5.0, 0.0, 0.0], [7.5, 5.0, 0.0]]]])
 
 

@@ -1,4 +1,4 @@
-"""The Utah teapot (M. Newell, 1975) as 32 bicubic patches, z up, in its customary size of 6.525 x 4 x 3.15.
+"""The Utah teapot [New75] as 32 bicubic patches, z up, in its customary size of 6.525 x 4 x 3.15.
 
 Rim, body, lid and bottom are profiles turned about the z axis; handle and spout are half sections, mirrored in
 the plane y = 0. A profile point (r, t, z) stands for one row of control points of a quarter turn,
