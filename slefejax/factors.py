@@ -174,9 +174,9 @@ def tessellation_factors(
     method          : the name of a method, a value of ``slefejax.methods``, or one's own (``slefejax.kernel``).
                       ``"certified"``, a bound with a proof (docs/certified.md): cut uniformly by any whole number from
                       ``.factor`` on, and as ``.inner`` and ``.edges`` say, every visible point of the patch keeps the
-                      tolerance. ``"slefe"``, the published estimate ([YBP12], (7) to (10)), which is no bound. The rules of
-                      ``slefejax.rules``: ``"filip"`` (a bound), ``"minmax"``, ``"edge-length"``, ``"screen-box"``,
-                      ``"fixed"``
+                      tolerance. ``"slefe"``, the published estimate ([YBP12], (7) to (10)), which is no bound. The
+                      rules of ``slefejax.rules``: ``"filip"`` (a bound), ``"minmax"``, ``"edge-length"``,
+                      ``"screen-box"``, ``"fixed"``
     tolerance       : pixels
     depth_tolerance : window depth (0 to 1), or None for no depth test; of ``certified`` and ``slefe``
     edge_numbers    : ``(patches, 4)``, the result of ``shared_edges``, if it is already known

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 _START = time.monotonic()
 _SLOW = pytest.StashKey[int]()
+_PEAK = pytest.StashKey[int]()
 _WHOLE = pytest.StashKey[bool]()
 _FAILED = ("failed", "error")
 
@@ -27,13 +30,15 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     told = getattr(session.config, "workeroutput", None)
     if told is not None:
         told["slow_tests_left_out"] = session.config.stash.get(_SLOW, 0)
+        told["peak"] = peak_memory()
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node: Any, error: Any) -> None:
     """Hear what a worker process left out. (A hook of pytest-xdist.)"""
-    told = getattr(node, "workeroutput", {}).get("slow_tests_left_out", 0)
-    node.config.stash[_SLOW] = max(told, node.config.stash.get(_SLOW, 0))
+    told = getattr(node, "workeroutput", {})
+    for key, name in ((_SLOW, "slow_tests_left_out"), (_PEAK, "peak")):
+        node.config.stash[key] = max(told.get(name, 0), node.config.stash.get(key, 0))
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
@@ -45,7 +50,15 @@ def pytest_unconfigure(config: pytest.Config) -> None:
     reasons = Counter(_reason(report) for report in reporter.stats.get("skipped", ()))
     slow, seconds = config.stash.get(_SLOW, 0), time.monotonic() - _START
     if line := closing_line(counts, reasons, slow, seconds, config.stash.get(_WHOLE, False)):
+        if peak := max(config.stash.get(_PEAK, 0), peak_memory()):
+            reporter.write_line(f"The largest process had {peak / 1e6:.1f} GB.")
         reporter.write_line(line)
+
+
+def peak_memory() -> int:
+    """The most that this process has had, kB; 0 where that is not told."""
+    status = Path("/proc/self/status")
+    return int(re.findall(r"VmHWM:\s+(\d+) kB", status.read_text())[0]) if status.exists() else 0
 
 
 def closing_line(counts: dict[str, int], reasons: Counter[str], slow: int, seconds: float, whole: bool = True) -> str:

@@ -38,7 +38,7 @@ def test_scripts_of_the_readme(device, tmp_path):
     """As they are typed: in a fresh process, with JAX as it comes, warnings as errors."""
     scripts = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL)
     whole = [script for script in scripts if script.startswith("import")]
-    assert len(whole) == 5
+    assert len(whole) == 6
     (tmp_path / "scripts.json").write_text(json.dumps(whole))
     run = "import json\nfor text in json.load(open('scripts.json')): exec(compile(text, 'README.md', 'exec'), {})"
     command = [sys.executable, "-W", "error", "-c", run]
@@ -52,6 +52,19 @@ def test_scripts_of_the_readme(device, tmp_path):
     assert shown[5].startswith("(32, 4, 4, 3) ")
     assert 9_900 <= int(shown[5].split()[4]) <= 10_000, "of a budget of 10,000"
     assert shown[6].startswith("20178 15994 0.499")
+    assert [int(number) for number in shown[7].split()] == [32, 15732]
+
+
+def test_every_work_that_is_cited_is_in_the_bibliography():
+    page = (ROOT / "docs" / "math.md").read_text()
+    known = set(re.findall(r"^- \*\*\[(\w+)\]\*\*", page, flags=re.MULTILINE))
+    source = [*PAGES, *modules().values(), *(ROOT / "tests").glob("*.py")]
+    for folder in ("experiments", "figures", "gpu"):
+        source += (ROOT / folder).rglob("*.py")
+    cited = {key for path in source for key in re.findall(r"\[([A-Z][A-Za-z]+\d\d)[],]", path.read_text())}
+    assert {"YBP12", "YBP14", "LP01", "FMM86"} <= cited
+    assert cited <= known
+    assert len(known) > 20
 
 
 def blocks(language):
