@@ -10,7 +10,6 @@ import tyro
 from matplotlib.image import imread
 
 from slefejax import Scene, Session, View
-from slefejax.error import drawn_error
 from slefejax.errors import InputError
 from slefejax.experiments.camera_path import ViewPath, camera_path
 from slefejax.experiments.frames import Frames, Levels, change_of_levels, frame_levels, moves_of_pixels, timed
@@ -22,8 +21,9 @@ from slefejax.experiments.store import Row, Run, digest, write_csv
 from slefejax.figures.animate import write_film, write_timeline, write_work
 from slefejax.figures.error_image import write_error_image
 from slefejax.gpu import Device, Renderer, open_device
-from slefejax.methods import Certified, Options, Slefe
-from slefejax.tessellator import triangle_counts
+from slefejax.measure.error import drawn_error
+from slefejax.predict.methods import Certified, Options, Slefe
+from slefejax.tessellator.levels import triangle_counts
 
 _LOOKED_AT = 4  # poses that the camera frames
 _NOTHING_SEEN = {"covered_pixels": 0} | dict.fromkeys(

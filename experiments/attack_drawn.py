@@ -6,7 +6,7 @@ import numpy as np
 
 from slefejax import triangulate
 from slefejax.experiments.attack_judge import Found, Screen, judge_triangles
-from slefejax.tessellator import MOST_LEVEL, triangle_counts
+from slefejax.tessellator.levels import MOST_LEVEL, triangle_counts
 
 _MOST = 200_000  # triangles of a view; patches beyond are left out, those with the most first
 

@@ -35,7 +35,7 @@ _PI = "3.14159265358979323846264338327950288419716939937510582097494459"
 
 
 class Look(NamedTuple):
-    """A camera and its picture, as plain numbers; what they mean is OpenGL's (``slefejax.view`` says it too)."""
+    """A camera and its picture, as plain numbers; what they mean is OpenGL's (``geometry.view`` says it too)."""
 
     eye: tuple[float, float, float]
     target: tuple[float, float, float]

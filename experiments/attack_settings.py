@@ -14,7 +14,7 @@ import numpy as np
 from slefejax import Camera, Factors, InputError, View, tessellation_factors
 from slefejax.experiments.attack_judge import Look
 from slefejax.experiments.attack_views import view_of
-from slefejax.methods import Certified
+from slefejax.predict.methods import Certified
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from slefejax.experiments.attack_judge import Look
-from slefejax.view import Camera, View
+from slefejax.geometry.view import Camera, View
 
 Rng = np.random.Generator
 

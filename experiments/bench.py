@@ -12,7 +12,6 @@ import jax
 import numpy as np
 import tyro
 
-from slefejax import layout
 from slefejax.arguments import no_such
 from slefejax.errors import InputError
 from slefejax.experiments.bench_process import PRECISIONS, Worker, the_device
@@ -21,6 +20,7 @@ from slefejax.experiments.options import OutputOptions
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run
 from slefejax.figures.bench import FRAME, write_growth, write_shares
+from slefejax.lanes import layout
 
 COUNTS = (1000, 10_000, 141_000)
 _SECONDS = 1.5  # for the runs of one row

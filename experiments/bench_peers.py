@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from slefejax.bezier import bernstein
-from slefejax.projection import Projection
-from slefejax.skinning import Influences
-from slefejax.slefe import slefe_table
+from slefejax.bounds.slefe import slefe_table
+from slefejax.geometry.bezier import bernstein
+from slefejax.geometry.projection import Projection
+from slefejax.model.skinning import Influences
 
 Pair = tuple[Any, Any]
 

@@ -11,18 +11,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from slefejax import Camera, Scene, View, layout, load, tessellation_factors, worst_points
-from slefejax.error import pixel_error
-from slefejax.estimate import Boxes
+from slefejax import Camera, Scene, View, load, tessellation_factors, worst_points
+from slefejax.bounds.slefe import slefe_table
+from slefejax.bounds.slefe_tables import build_table
 from slefejax.experiments import bench_peers as peers
+from slefejax.geometry.packed import Packed, pack
+from slefejax.geometry.projection import Projection
 from slefejax.gpu import Device, Renderer
-from slefejax.kernel import Kernel, Prepared, Tolerances, view_pass
-from slefejax.methods import Certified, Slefe
-from slefejax.packed import Packed, pack
-from slefejax.projection import Projection
-from slefejax.skinning import linear_blend
-from slefejax.slefe import slefe_table
-from slefejax.slefe_tables import build_table
+from slefejax.lanes import layout
+from slefejax.measure.error import pixel_error
+from slefejax.model.skinning import linear_blend
+from slefejax.predict.estimate import Boxes
+from slefejax.predict.kernel import Kernel, Prepared, Tolerances, view_pass
+from slefejax.predict.methods import Certified, Slefe
 
 SEGMENTS = 3
 TOLERANCE = 0.5

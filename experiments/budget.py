@@ -13,15 +13,15 @@ import numpy as np
 import tyro
 
 from slefejax import Scene, View, distance_for_budget, sampled_error, tolerance_for_budget
-from slefejax.budget import Budget, counted, moved
 from slefejax.errors import InputError
 from slefejax.experiments.options import LoadOptions, OutputOptions, PredictionOptions, ViewOptions, camera_record
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run
 from slefejax.figures.budget import write_budget
-from slefejax.methods import Options, name_of
-from slefejax.tessellator import HIGHEST_LEVEL
-from slefejax.view import bounding_sphere
+from slefejax.geometry.view import bounding_sphere
+from slefejax.predict.methods import Options, name_of
+from slefejax.study.budget import Budget, counted, moved
+from slefejax.tessellator.levels import HIGHEST_LEVEL
 
 _CURVE = np.exp(np.linspace(-2.5, 2.5, 41))  # around what was found
 

@@ -13,7 +13,7 @@ import numpy as np
 from slefejax import Scene, View
 from slefejax.errors import InputError
 from slefejax.framing import clipping_planes
-from slefejax.view import Camera, bounding_sphere
+from slefejax.geometry.view import Camera, bounding_sphere
 
 COLUMNS = ("eye_x", "eye_y", "eye_z", "target_x", "target_y", "target_z")
 ViewPath = Callable[[float], View]  # from 0, the first frame, to 1, the last

@@ -10,7 +10,6 @@ import numpy as np
 import tyro
 
 from slefejax import Factors, Scene, View, minimal_factors, sampled_error, tessellation_factors, triangle_error
-from slefejax.error import drawn_error
 from slefejax.errors import InputError, naming
 from slefejax.experiments.minimality import slips
 from slefejax.experiments.options import (
@@ -27,10 +26,11 @@ from slefejax.experiments.store import Row, Run, digest
 from slefejax.figures.certify import write_certify_figure
 from slefejax.figures.error_image import write_error_image
 from slefejax.gpu import Renderer, open_device
-from slefejax.kernel import Method
-from slefejax.methods import Certified, Slefe
-from slefejax.rules import Filip
-from slefejax.tessellator import HIGHEST_LEVEL, triangle_counts
+from slefejax.measure.error import drawn_error
+from slefejax.predict.kernel import Method
+from slefejax.predict.methods import Certified, Slefe
+from slefejax.predict.rules import Filip
+from slefejax.tessellator.levels import HIGHEST_LEVEL, triangle_counts
 
 METHODS = ("certified", "slefe", "filip")
 _REPEATS = 7

@@ -13,7 +13,7 @@ from slefejax.errors import NoOpenGLError
 from slefejax.experiments.report import Report
 from slefejax.experiments.store import PACKAGES, Row
 from slefejax.gpu import measure_pattern, open_device
-from slefejax.rings import direct3d11
+from slefejax.tessellator.rings import direct3d11
 
 
 @dataclass(frozen=True)

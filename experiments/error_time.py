@@ -13,8 +13,6 @@ import tyro
 from slefejax import Factors, Scene, View, minimal_factors, sampled_error, tessellation_factors, triangle_error
 from slefejax.arguments import no_such
 from slefejax.cameras import cameras_around
-from slefejax.covering import covering_error
-from slefejax.error import drawn_error
 from slefejax.errors import InputError, naming
 from slefejax.experiments.minimality import error_shares
 from slefejax.experiments.options import (
@@ -33,10 +31,12 @@ from slefejax.figures.error_image import write_error_image
 from slefejax.figures.error_time import write_error_against_time, write_pixels_against_triangles, write_triangle_sizes
 from slefejax.figures.side_by_side import write_side_by_side
 from slefejax.gpu import GBuffer, Renderer, Triangles, open_device
-from slefejax.kernel import Method
-from slefejax.methods import Certified, Slefe, label_of, method_of
-from slefejax.rules import EdgeLength, Filip, Fixed, ScreenBox
-from slefejax.tessellator import HIGHEST_LEVEL, pieces, triangle_counts
+from slefejax.measure.covering import covering_error
+from slefejax.measure.error import drawn_error
+from slefejax.predict.kernel import Method
+from slefejax.predict.methods import Certified, Slefe, label_of, method_of
+from slefejax.predict.rules import EdgeLength, Filip, Fixed, ScreenBox
+from slefejax.tessellator.levels import HIGHEST_LEVEL, pieces, triangle_counts
 
 AREAS = (0.5, 5.0, 10.0, 20.0)  # square pixels; the classes of [YBP12], section 7
 

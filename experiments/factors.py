@@ -9,11 +9,11 @@ import numpy as np
 import tyro
 
 from slefejax import tessellation_factors
-from slefejax.edges import EDGES
 from slefejax.experiments.options import LoadOptions, OutputOptions, PredictionOptions, ViewOptions, camera_record
 from slefejax.experiments.report import Report
 from slefejax.experiments.store import Run
-from slefejax.tessellator import HIGHEST_LEVEL, triangle_counts
+from slefejax.tessellator.edges import EDGES
+from slefejax.tessellator.levels import HIGHEST_LEVEL, triangle_counts
 
 
 @dataclass(frozen=True)

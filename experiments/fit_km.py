@@ -13,8 +13,8 @@ import numpy as np
 import tyro
 
 from slefejax import Camera, Scene, View, load, sampled_error, tessellation_factors
+from slefejax.bounds.slefe_tables import basis_coefficients
 from slefejax.cameras import cameras_around
-from slefejax.curves import curve_constant, curve_ratios
 from slefejax.errors import InputError, naming
 from slefejax.experiments.options import (
     LoadOptions,
@@ -27,10 +27,10 @@ from slefejax.experiments.options import (
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.figures.fit_km import write_fit_km
-from slefejax.fitting import ESTIMATORS, TEMPERATURE, Fit, bootstrap_km, cross_validated, fit_km, held_out
-from slefejax.samples import TWIST, Samples, measure_factors, slefe_term
-from slefejax.slefe_tables import basis_coefficients
-from slefejax.widths import screen_twists, screen_widths
+from slefejax.predict.widths import screen_twists, screen_widths
+from slefejax.study.curves import curve_constant, curve_ratios
+from slefejax.study.fitting import ESTIMATORS, TEMPERATURE, Fit, bootstrap_km, cross_validated, fit_km, held_out
+from slefejax.study.samples import TWIST, Samples, measure_factors, slefe_term
 
 PUBLISHED = "1.5 … 1 [YBP14]; 1, √2 [YBP12]"
 _CURVES, _PIECES = 20_000, 64

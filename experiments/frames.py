@@ -11,13 +11,13 @@ import numpy as np
 from jaxtyping import Float, Real
 
 from slefejax import Scene, Session, View
-from slefejax.edges import edge_maxima
-from slefejax.error import surface_on_screen
 from slefejax.errors import InputError
 from slefejax.experiments.store import Row
 from slefejax.gpu import GBuffer
+from slefejax.measure.error import surface_on_screen
 from slefejax.session import PARTS
-from slefejax.tessellator import levels_for
+from slefejax.tessellator.edges import edge_maxima
+from slefejax.tessellator.levels import levels_for
 
 _MOST = 100_000
 _STILL_RATE = 24.0  # frames a second of the film of a scene without a motion

@@ -12,12 +12,8 @@ import numpy as np
 import tyro
 
 from slefejax import Scene, View, tessellation_factors
-from slefejax.coincidence import coincident_sides
 from slefejax.conversion.acc import acc_patches
 from slefejax.conversion.patchwork import KINDS
-from slefejax.defects import find_defects, isolated_vertices
-from slefejax.edges import collapsed
-from slefejax.error import drawn_error
 from slefejax.errors import InputError, NoOpenGLError
 from slefejax.experiments.minimality import slips
 from slefejax.experiments.options import LoadOptions, OutputOptions, ViewOptions, camera_record, option_names
@@ -28,9 +24,13 @@ from slefejax.experiments.store import Row, Run, digest
 from slefejax.figures.inspect import Panels, write_inspect_figure
 from slefejax.gpu import Renderer, open_device
 from slefejax.io.content import Y_UP, Z_UP, Content
-from slefejax.mesh import Mesh
+from slefejax.measure.error import drawn_error
+from slefejax.model.defects import find_defects, isolated_vertices
+from slefejax.model.mesh import Mesh
 from slefejax.scene import BUILT_IN, read
-from slefejax.tessellator import HIGHEST_LEVEL, triangle_counts
+from slefejax.tessellator.coincidence import coincident_sides
+from slefejax.tessellator.edges import collapsed
+from slefejax.tessellator.levels import HIGHEST_LEVEL, triangle_counts
 
 _SAY_UP = (".usd", ".usda", ".usdc", ".usdz", ".gltf", ".glb", ".json", ".3dm")
 

@@ -10,7 +10,6 @@ import numpy as np
 import tyro
 
 from slefejax import Factors, Scene, View, pack
-from slefejax.error import SLIPPED, drawn_error, slip
 from slefejax.errors import InputError
 from slefejax.experiments.options import (
     LoadOptions,
@@ -23,14 +22,15 @@ from slefejax.experiments.options import (
 )
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run, digest
-from slefejax.factors import predicted
 from slefejax.figures.error_image import write_error_image
 from slefejax.figures.minimality import write_factor_map, write_minimality_figure
 from slefejax.gpu import GBuffer, Renderer, open_device
 from slefejax.gpu.renderer import check_levels
-from slefejax.kernel import Method
-from slefejax.methods import Request, Slefe, label_of
-from slefejax.tessellator import MOST_LEVEL, triangle_counts, with_pieces
+from slefejax.measure.error import SLIPPED, drawn_error, slip
+from slefejax.predict.factors import predicted
+from slefejax.predict.kernel import Method
+from slefejax.predict.methods import Request, Slefe, label_of
+from slefejax.tessellator.levels import MOST_LEVEL, triangle_counts, with_pieces
 
 THRESHOLDS = (0.1, 0.5, 1.0)  # pixels; the limits of the error colours of [YBP12]
 

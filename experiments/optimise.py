@@ -10,7 +10,6 @@ import tyro
 
 from slefejax import Scene, View, fewer_triangles, sampled_error, save, tessellation_factors
 from slefejax.cameras import cameras_around
-from slefejax.deviation import edge_turns, surface_distance
 from slefejax.errors import InputError
 from slefejax.experiments.options import (
     LoadOptions,
@@ -23,10 +22,11 @@ from slefejax.experiments.outlines import outlines
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run, digest, write_csv
 from slefejax.figures.optimise import write_optimise
-from slefejax.methods import Options
-from slefejax.relaxing import Descent, Relaxed
-from slefejax.tessellator import triangle_counts
-from slefejax.view import bounding_sphere, homogeneous
+from slefejax.geometry.view import bounding_sphere, homogeneous
+from slefejax.predict.methods import Options
+from slefejax.study.deviation import edge_turns, surface_distance
+from slefejax.study.relaxing import Descent, Relaxed
+from slefejax.tessellator.levels import triangle_counts
 
 _FINE = 65  # places along each side where the distance is measured at last
 _LISTED = 10

@@ -16,12 +16,12 @@ import tyro
 from slefejax.conversion.acc import ALPHA
 from slefejax.errors import InputError
 from slefejax.framing import clipping_planes
-from slefejax.kernel import Method
-from slefejax.methods import Options, Request, method_of, name_of
-from slefejax.rig import Deformation
+from slefejax.geometry.view import Camera, View, bounding_sphere
+from slefejax.model.rig import Deformation
+from slefejax.model.skinning import dual_quaternion_blend, linear_blend
+from slefejax.predict.kernel import Method
+from slefejax.predict.methods import Options, Request, method_of, name_of
 from slefejax.scene import Scene, load
-from slefejax.skinning import dual_quaternion_blend, linear_blend
-from slefejax.view import Camera, View, bounding_sphere
 
 Three = tuple[float, float, float]
 Scenes = Annotated[

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slefejax import Scene, View
-from slefejax.view import homogeneous
+from slefejax.geometry.view import homogeneous
 
 
 class Outlines(NamedTuple):

@@ -9,10 +9,10 @@ import numpy as np
 
 from slefejax import Pose, Scene, Session, View
 from slefejax.experiments.store import Row
-from slefejax.methods import Options
-from slefejax.rig import Rig, Skeleton
+from slefejax.model.rig import Rig, Skeleton
+from slefejax.model.skinning import Influences
+from slefejax.predict.methods import Options
 from slefejax.session import PARTS
-from slefejax.skinning import Influences
 
 _REPEATS = 15
 _DEPTH = 1e-3

@@ -11,14 +11,14 @@ import numpy as np
 import tyro
 
 from slefejax import Camera, Scene, View, tessellation_factors
+from slefejax.bounds.tiles import restrict_to_tiles
 from slefejax.errors import InputError
 from slefejax.experiments.options import LoadOptions, OutputOptions, check_count, parse_size
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.figures.scaling import write_scaling
 from slefejax.gpu import Renderer, open_device
-from slefejax.tessellator import HIGHEST_LEVEL, triangle_counts
-from slefejax.tiles import restrict_to_tiles
+from slefejax.tessellator.levels import HIGHEST_LEVEL, triangle_counts
 
 TERMS = ("patches", "triangles", "shaded_pixels")
 SPLITS = (1, 2, 3, 4)  # each patch into s x s, cut less finely by as much, so that the triangles stay

@@ -14,8 +14,8 @@ from slefejax.experiments.outlines import outlines
 from slefejax.experiments.report import Report
 from slefejax.experiments.store import Row, Run
 from slefejax.figures.sensitivity import write_sensitivity
-from slefejax.sensitivity import Sensitivity, sensitivity
-from slefejax.view import bounding_sphere
+from slefejax.geometry.view import bounding_sphere
+from slefejax.study.sensitivity import Sensitivity, sensitivity
 
 _MOST = 10  # rows of a kind
 _SHARE = 0.01  # of the scene's radius, by which a point is moved

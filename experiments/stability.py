@@ -11,7 +11,6 @@ import tyro
 
 from slefejax import InputError, View, screen_widths, slefe_boxes, tessellation_factors, worst_points
 from slefejax.arguments import no_such
-from slefejax.bezier import evaluate_patch
 from slefejax.experiments import reference
 from slefejax.experiments.options import OutputOptions
 from slefejax.experiments.report import Report, progress
@@ -19,9 +18,10 @@ from slefejax.experiments.stability_cases import FAMILIES, Case
 from slefejax.experiments.stability_rig import MEASURES
 from slefejax.experiments.store import Row, Run
 from slefejax.figures.stability import write_stability_figure
-from slefejax.methods import method_of
-from slefejax.supremum import Surface, in_batches
-from slefejax.view import homogeneous
+from slefejax.geometry.bezier import evaluate_patch
+from slefejax.geometry.view import homogeneous
+from slefejax.measure.supremum import Surface, in_batches
+from slefejax.predict.methods import method_of
 
 PRECISIONS = {"single": np.float32, "double": np.float64}
 CLOSE = 0.01  # a relative error of factors above that is noticed

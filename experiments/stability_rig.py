@@ -12,8 +12,8 @@ import numpy as np
 from slefejax import Samples, fit_km, linear_blend
 from slefejax.conversion.scheme import convert
 from slefejax.experiments.reference import MP, exact
-from slefejax.mesh import Mesh
-from slefejax.skinning import Influences, dual_quaternion_blend
+from slefejax.model.mesh import Mesh
+from slefejax.model.skinning import Influences, dual_quaternion_blend
 
 Errors = tuple[float, int]  # the largest error over the size of what is right, numbers that are not finite
 

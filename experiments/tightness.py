@@ -1,4 +1,4 @@
-"""How tight is a slefe? Every bound of ``slefejax.rivals`` on the same curves, with the same number of pieces."""
+"""How tight is a slefe? Every bound of ``bounds.rivals`` on the same curves, with the same number of pieces."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import numpy as np
 import tyro
 
 from slefejax import slefe, slefe_boxes, slefe_table
-from slefejax.bezier import evaluate_curve
+from slefejax.bounds.rivals import BATCH_METHODS, CURVE_METHODS, batch_widths, enclose_curve
+from slefejax.bounds.slefe_tables import basis_coefficients
 from slefejax.errors import InputError
 from slefejax.experiments.options import OutputOptions
 from slefejax.experiments.report import Report, progress
@@ -19,8 +20,7 @@ from slefejax.experiments.store import Row, Run
 from slefejax.figures.six_bounds import write_six_bounds
 from slefejax.figures.slefe_construction import write_slefe_construction
 from slefejax.figures.tightness import write_width_against_pieces, write_width_against_time
-from slefejax.rivals import BATCH_METHODS, CURVE_METHODS, batch_widths, enclose_curve
-from slefejax.slefe_tables import basis_coefficients
+from slefejax.geometry.bezier import evaluate_curve
 
 SIX = ("disc", "min-max", "oriented-box", "convex-hull", "filip", "slefe")
 TIMED_BATCH = 4096  # curves in one call when a formula is timed

@@ -9,7 +9,7 @@ from typing import Any
 import moderngl
 
 from slefejax.errors import NoOpenGLError, OpenGLError
-from slefejax.tessellator import HIGHEST_LEVEL
+from slefejax.tessellator.levels import HIGHEST_LEVEL
 
 OPENGL = 430
 PACKAGES = "libegl1 libgl1 libgl1-mesa-dri"

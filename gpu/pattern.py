@@ -1,14 +1,14 @@
-"""The pattern of the running driver's tessellator (``slefejax.rings``), from triangles that it made."""
+"""The pattern of the running driver's tessellator (``slefejax.tessellator.rings``), from triangles that it made."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from slefejax.geometry.view import Camera, View
 from slefejax.gpu.context import Device
 from slefejax.gpu.renderer import Renderer
-from slefejax.rings import Pattern
-from slefejax.tessellator import HIGHEST_LEVEL
-from slefejax.view import Camera, View
+from slefejax.tessellator.levels import HIGHEST_LEVEL
+from slefejax.tessellator.rings import Pattern
 
 _ACROSS = 4  # inner level in the other direction: the ring along an edge does not depend on it
 

@@ -10,14 +10,21 @@ import numpy as np
 from jaxtyping import Float, Int, Real
 
 from slefejax.arguments import Patches, check_patches, real_numbers, whole_numbers
-from slefejax.edges import Sides
 from slefejax.errors import InputError, OpenGLError
+from slefejax.geometry.view import LARGEST, View
 from slefejax.gpu.context import Device, open_device
 from slefejax.gpu.programs import capture_program, draw_program
 from slefejax.gpu.strays import Strays, drawn_at, nearest_drawn
 from slefejax.gpu.unseen import without_unseen
-from slefejax.tessellator import MOST_LEVEL, Pieces, check_spacing, highest_level, segments, triangle_counts
-from slefejax.view import LARGEST, View
+from slefejax.tessellator.edges import Sides
+from slefejax.tessellator.levels import (
+    MOST_LEVEL,
+    Pieces,
+    check_spacing,
+    highest_level,
+    segments,
+    triangle_counts,
+)
 
 # Software OpenGL numbers the tessellated vertices of a draw call in 16 bits and loses triangles beyond.
 VERTICES_A_DRAW = 65_536
@@ -33,7 +40,7 @@ Outer = Any  # levels (patches, 4), at u=0, v=0, u=1, v=1
 
 @dataclass(frozen=True)
 class GBuffer:
-    """What is seen at every pixel centre; arrays ``(height, width)``, row 0 at the bottom (``slefejax.view``).
+    """What is seen at every pixel centre; arrays ``(height, width)``, row 0 at the bottom (``slefejax.geometry.view``).
 
     u, v  : float32 parameters of the patch, interpolated with perspective by the rasteriser; where they would lie
             outside of what is drawn of the triangle, the nearest that lie in it (``slefejax.gpu.strays``)
@@ -67,7 +74,7 @@ class Triangles:
 class Renderer:
     """Holds the control points on the device and draws them with any levels, from any view.
 
-    Patches with levels past the hardware's limit of 64 are drawn in pieces (``slefejax.tessellator``), which show in
+    Patches with levels past the hardware's limit of 64 are drawn in pieces (``tessellator.levels``), which show in
     nothing: parameters are the patch's, and neighbours meet without a crack. Pieces that are off the screen are left
     out.
 
@@ -76,7 +83,7 @@ class Renderer:
     device  : from ``open_device``, which is called if it is not given
     spacing : ``"equal"``: levels are whole numbers; ``"fractional-even"``, ``"fractional-odd"``: any numbers up to the
               limit, and vertices move as they change, instead of coming and going
-    sides   : which curve each side is (``slefejax.edges``): vertices on it are points of its owner. If they are not
+    sides   : which curve each side is (``tessellator.edges``): vertices on it are points of its owner. If they are not
               given, sides are shared where their points are equal, or equal once raised to one degree
 
     >>> renderer = Renderer(patches)                                        # doctest: +SKIP

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from slefejax.errors import NoOpenGLError, OpenGLError
+from slefejax.geometry.view import Camera, View
 from slefejax.gpu.context import PACKAGES, Device
 from slefejax.gpu.renderer import VERTICES_A_DRAW, Renderer
-from slefejax.view import Camera, View
 
 _PATCHES_A_SIDE = 8
 _PIXELS_A_SIDE = 256

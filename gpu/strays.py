@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 
 from slefejax.errors import OpenGLError
 from slefejax.late import one_at_a_time
-from slefejax.tessellator import Pieces
+from slefejax.tessellator.levels import Pieces
 
 _SIDES = 9
 _ROUNDING = 1e-7  # of a function's largest value at a corner

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from slefejax.bezier import restrict
-from slefejax.tessellator import Pieces
-from slefejax.view import homogeneous
+from slefejax.geometry.bezier import restrict
+from slefejax.geometry.view import homogeneous
+from slefejax.tessellator.levels import Pieces
 
 _ROUNDING = 1e-5  # of single precision on the device, in sizes of the terms that a position is summed from
 

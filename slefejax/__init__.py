@@ -6,50 +6,55 @@
 >>> factors = sj.tessellation_factors(scene.patches(), view, tolerance=0.5)
 """
 
+import sys
 from importlib import import_module
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-from slefejax import methods
-from slefejax.bezier import evaluate_patches
-from slefejax.bspline import bspline_slefe, bspline_slefe_boxes
-from slefejax.budget import Budget, distance_for_budget, real_triangles, tolerance_for_budget
+from slefejax.bounds.bspline import bspline_slefe, bspline_slefe_boxes
+from slefejax.bounds.slefe import Slefe, SlefeTable, slefe, slefe_boxes, slefe_table
+from slefejax.bounds.tiles import slefe_tiles
 from slefejax.cameras import cameras_around
 from slefejax.conversion.scheme import Conversion, convert
-from slefejax.deviation import edge_turns, side_turns, surface_distance
 from slefejax.errors import InputError, NoOpenGLError
-from slefejax.factors import Factors, tessellation_factors
+from slefejax.geometry.bezier import evaluate_patches
+from slefejax.geometry.packed import pack
+from slefejax.geometry.view import Camera, View
 from slefejax.late import one_at_a_time
-from slefejax.mesh import Mesh
-from slefejax.minimal import minimal_factors, minimal_pairs
-from slefejax.packed import pack
-from slefejax.rig import Pose
-from slefejax.samples import Samples, measure_factors
+from slefejax.measure.covering import covering_error
+from slefejax.measure.error import drawn_error, pixel_error
+from slefejax.measure.minimal import minimal_factors, minimal_pairs
+from slefejax.measure.supremum import sampled_error, worst_points
+from slefejax.measure.triangles import triangle_error
+from slefejax.model.mesh import Mesh
+from slefejax.model.rig import Pose
+from slefejax.model.skinning import dual_quaternion_blend, linear_blend
+from slefejax.predict import methods
+from slefejax.predict.factors import Factors, tessellation_factors
+from slefejax.predict.widths import screen_twists, screen_widths
 from slefejax.scene import Scene, load, save
-from slefejax.sensitivity import Sensitivity, sensitivity
 from slefejax.session import Session
-from slefejax.skinning import dual_quaternion_blend, linear_blend
-from slefejax.slefe import Slefe, SlefeTable, slefe, slefe_boxes, slefe_table
-from slefejax.supremum import sampled_error, worst_points
-from slefejax.tessellator import triangle_counts, with_pieces
-from slefejax.tiles import slefe_tiles
-from slefejax.triangles import triangle_error
-from slefejax.triangulation import Triangulation, triangulate
-from slefejax.view import Camera, View
-from slefejax.widths import screen_twists, screen_widths
+from slefejax.study.budget import Budget, distance_for_budget, real_triangles, tolerance_for_budget
+from slefejax.study.deviation import edge_turns, side_turns, surface_distance
+from slefejax.study.samples import Samples, measure_factors
+from slefejax.study.sensitivity import Sensitivity, sensitivity
+from slefejax.tessellator.levels import triangle_counts, with_pieces
+from slefejax.tessellator.triangulation import Triangulation, triangulate
 
 __version__: str  # of the installed package, read from its metadata when it is asked for
 
 if TYPE_CHECKING:
-    from slefejax.curves import curve_constant
-    from slefejax.fitting import Fit, bootstrap_km, fit_km
-    from slefejax.relaxing import Relaxed, fewer_triangles
+    from slefejax.bounds.rivals import enclose_curve, enclose_surface
+    from slefejax.study.curves import curve_constant
+    from slefejax.study.fitting import Fit, bootstrap_km, fit_km
+    from slefejax.study.relaxing import Relaxed, fewer_triangles
 
 # Modules that need packages which take long to import: imported when a name of theirs is first used.
 _LATER = {
-    "curves": ("curve_constant",),
-    "fitting": ("Fit", "bootstrap_km", "fit_km"),
-    "relaxing": ("Relaxed", "fewer_triangles"),
+    "bounds.rivals": ("enclose_curve", "enclose_surface"),
+    "study.curves": ("curve_constant",),
+    "study.fitting": ("Fit", "bootstrap_km", "fit_km"),
+    "study.relaxing": ("Relaxed", "fewer_triangles"),
 }
 _MODULES = {name: module for module, names in _LATER.items() for name in names}
 
@@ -77,10 +82,14 @@ __all__ = [
     "bspline_slefe_boxes",
     "cameras_around",
     "convert",
+    "covering_error",
     "curve_constant",
     "distance_for_budget",
+    "drawn_error",
     "dual_quaternion_blend",
     "edge_turns",
+    "enclose_curve",
+    "enclose_surface",
     "evaluate_patches",
     "fewer_triangles",
     "fit_km",
@@ -91,6 +100,7 @@ __all__ = [
     "minimal_factors",
     "minimal_pairs",
     "pack",
+    "pixel_error",
     "real_triangles",
     "sampled_error",
     "save",
@@ -111,6 +121,17 @@ __all__ = [
     "with_pieces",
     "worst_points",
 ]
+
+# Modules that documentation names, by the names that they had before they stood in folders.
+_BEFORE = {
+    "covering": "measure.covering",
+    "edges": "tessellator.edges",
+    "error": "measure.error",
+    "rig": "model.rig",
+    "rivals": "bounds.rivals",
+    "skinning": "model.skinning",
+}
+sys.modules |= {f"{__name__}.{name}": import_module(f"{__name__}.{now}") for name, now in _BEFORE.items()}
 
 if not TYPE_CHECKING:  # a checker that saw it would take every misspelt name for one that is there
 

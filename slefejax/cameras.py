@@ -9,8 +9,8 @@ import numpy as np
 from slefejax.arguments import check_whole
 from slefejax.errors import InputError
 from slefejax.framing import clipping_planes
+from slefejax.geometry.view import View, bounding_sphere, frame
 from slefejax.scene import Scene
-from slefejax.view import View, bounding_sphere, frame
 
 
 def cameras_around(scene: Scene, width: int, height: int, count: int, seed: int = 0) -> list[View]:

@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Float
 
 from slefejax.arguments import Number
-from slefejax.bezier import evaluate_patches
 from slefejax.errors import InputError
+from slefejax.geometry.bezier import evaluate_patches
+from slefejax.geometry.view import Camera, Vector, turned_up
 from slefejax.late import one_at_a_time
-from slefejax.view import Camera, Vector, turned_up
 
 PAPERS_SHARE = 0.38  # of the screen that a model covers in [YBP12], section 7
 DIRECTION = (-0.5, 0.75, -0.4)
@@ -27,7 +27,7 @@ _WITHIN = 0.002  # of the screen; a hundredth of what a different model or view 
 def clipping_planes(sphere: tuple[Any, Any], own: Camera, eye: Any) -> tuple[Any, Any]:
     """Near and far of a camera that is moved: its own, but so that the whole scene lies between them.
 
-    sphere : centre and radius of the scene (``slefejax.view.bounding_sphere``);  eye : the new place, may be traced
+    sphere : centre and radius of the scene (``geometry.view.bounding_sphere``);  eye : the new place, may be traced
     """
     centre, radius = sphere
     xp: Any = jnp if isinstance(eye, jax.Array) else np

@@ -32,25 +32,25 @@ from slefejax.data.small import (
 )
 from slefejax.data.teapot import EYE, TARGET, teapot
 from slefejax.data.walker import walker
-from slefejax.defects import check_manifold, isolated_vertices, without_defects
-from slefejax.edges import Sides
 from slefejax.errors import InputError, naming
 from slefejax.framing import PAPERS_SHARE, frame_share
+from slefejax.geometry.view import LARGEST, Camera, Vector
 from slefejax.io.bpt import read_bpt, write_bpt
 from slefejax.io.bv import read_bv
 from slefejax.io.content import Z_UP, Content, Spline
 from slefejax.io.copies import with_copies
-from slefejax.io.gltf import read_gltf
+from slefejax.io.gltf.read import read_gltf
 from slefejax.io.limits import check_corners, check_numbers, check_spline
 from slefejax.io.makehuman import read_makehuman
 from slefejax.io.obj import read_obj
 from slefejax.io.pair import read_pair, write_pair
-from slefejax.io.ply import read_ply
-from slefejax.io.rhino import read_3dm
-from slefejax.io.usd import read_usd
-from slefejax.mesh import Mesh
-from slefejax.rig import Deformation, Pose, Rig
-from slefejax.view import LARGEST, Camera, Vector
+from slefejax.io.ply.read import read_ply
+from slefejax.io.rhino.read import read_3dm
+from slefejax.io.usd.read import read_usd
+from slefejax.model.defects import check_manifold, isolated_vertices, without_defects
+from slefejax.model.mesh import Mesh
+from slefejax.model.rig import Deformation, Pose, Rig
+from slefejax.tessellator.edges import Sides
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,21 +19,21 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Float
 
-from slefejax import layout
 from slefejax.arguments import check_weights
 from slefejax.conversion.patchwork import in_layout
 from slefejax.errors import InputError
-from slefejax.estimate import boxes_pass
-from slefejax.factors import Factors, predicted, prepared_by
-from slefejax.kernel import Kernel, Prepared, view_pass
-from slefejax.methods import Options, Request, Slefe
-from slefejax.packed import Packed
-from slefejax.projection import Projection
-from slefejax.rig import Deformation, Pose, check_time
+from slefejax.geometry.packed import Packed
+from slefejax.geometry.projection import Projection
+from slefejax.geometry.view import View, check_view
+from slefejax.lanes import layout
+from slefejax.model.rig import Deformation, Pose, check_time
+from slefejax.model.skinning import Influences
+from slefejax.model.stencils import StencilTable
+from slefejax.predict.estimate import boxes_pass
+from slefejax.predict.factors import Factors, predicted, prepared_by
+from slefejax.predict.kernel import Kernel, Prepared, view_pass
+from slefejax.predict.methods import Options, Request, Slefe
 from slefejax.scene import Scene
-from slefejax.skinning import Influences
-from slefejax.stencils import StencilTable
-from slefejax.view import View, check_view
 
 PARTS = ("skinning and conversion", "slefe boxes", "view")
 

@@ -1,7 +1,7 @@
 """Assertions for your own pytest checks; a failure names the worst offender.
 
 >>> from slefejax import slefe
->>> from slefejax.bezier import evaluate_curve
+>>> from slefejax.geometry.bezier import evaluate_curve
 >>> curve = np.array([0.0, -1.0, 1.0, 0.0])
 >>> assert_encloses(*slefe(curve, 3), lambda t: evaluate_curve(curve, t))
 """
@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from slefejax.error import drawn_error
-from slefejax.view import View
+from slefejax.geometry.view import View
+from slefejax.measure.error import drawn_error
 
 
 def assert_encloses(

@@ -36,16 +36,16 @@ jax.config.update(
 )
 
 install_import_hook(
-    [f"slefejax.{name}" for name in ("arguments", "bezier", "edges", "error", "layout", "slefe", "tessellator", "view")]
-    + ["slefejax.estimate", "slefejax.scene", "slefejax.slefe_tables", "slefejax.gpu.renderer", "slefejax.rings"]
-    + [
-        "slefejax.rig",
-        "slefejax.skinning",
-        "slefejax.mesh",
-        "slefejax.defects",
-        "slefejax.stencils",
-        "slefejax.framing",
-        "slefejax.conversion",
+    [
+        *("slefejax.arguments", "slefejax.conversion", "slefejax.framing", "slefejax.gpu.renderer", "slefejax.scene"),
+        *(
+            "slefejax.bounds.slefe",
+            "slefejax.bounds.slefe_tables",
+            "slefejax.geometry.bezier",
+            "slefejax.geometry.view",
+        ),
+        *("slefejax.lanes.layout", "slefejax.measure.error", "slefejax.model", "slefejax.predict.estimate"),
+        *("slefejax.tessellator.edges", "slefejax.tessellator.levels", "slefejax.tessellator.rings"),
     ],
     "beartype.beartype",
 )

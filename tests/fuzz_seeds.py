@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from slefejax import load, save
-from slefejax.mesh import Mesh
+from slefejax.model.mesh import Mesh
 from tests.gltf_files import figure
 from tests.test_io import BV, OBJ
 from tests.test_makehuman import folder

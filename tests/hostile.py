@@ -8,7 +8,7 @@ import numpy as np
 
 from slefejax.experiments.attack_nets import RATIONAL, SHAPES, moved, nets
 from slefejax.experiments.attack_views import VIEWS, elsewhere, view_of
-from slefejax.view import View
+from slefejax.geometry.view import View
 
 _DECADES = 4.0  # of weights; with more, factors become numbers that no tessellation can have
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slefejax.mesh import Mesh
+from slefejax.model.mesh import Mesh
 
 
 def grid(nu, nv, closed_u=False, closed_v=False, rng=None):

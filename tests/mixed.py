@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from slefejax.bezier import elevate
+from slefejax.geometry.bezier import elevate
 from tests.test_edges import SYMMETRIES
 
 BI_DEGREES = ((3, 3), (4, 4), (5, 4))

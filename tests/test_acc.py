@@ -5,15 +5,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from slefejax import InputError, layout
-from slefejax.bezier import evaluate_patch
-from slefejax.bspline import basis_pieces
+from slefejax import InputError
+from slefejax.bounds.bspline import basis_pieces
 from slefejax.conversion.acc import acc_patches
 from slefejax.conversion.catmull_clark import refine
 from slefejax.conversion.patchwork import KINDS
 from slefejax.conversion.scheme import convert
 from slefejax.conversion.tangents import corner_tangents, tangent_tables
-from slefejax.mesh import Mesh
+from slefejax.geometry.bezier import evaluate_patch
+from slefejax.lanes import layout
+from slefejax.model.mesh import Mesh
 from tests.meshes import cube, disc, grid, mixed, triangle_fan
 from tests.test_catmull_clark import creased
 

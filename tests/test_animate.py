@@ -217,7 +217,7 @@ def test_what_pops(teapot, main_view):
     centre = np.zeros((10, 10, 2), np.float32)
     one, two = GBuffer(u, u, patch, u, centre), GBuffer(u + np.float32(0.25), u, patch, u, centre)
     assert moves_of_pixels(levels.patches, main_view, one, one) == {"pop_p99_px": 0.0, "pop_max_px": 0.0}
-    from slefejax.error import surface_on_screen
+    from slefejax.measure.error import surface_on_screen
 
     ends = surface_on_screen(teapot.patches(), main_view, np.array([3, 3]), np.array([0.5, 0.75]), np.array([0.5, 0.5]))
     found = moves_of_pixels(levels.patches, main_view, one, two)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slefejax import InputError, certified, kernel, tessellation_factors
+from slefejax import InputError, tessellation_factors
 from slefejax.experiments import attack as command
 from slefejax.experiments import attack_climb, attack_settings
 from slefejax.experiments.attack_batch import attack
@@ -21,7 +21,8 @@ from slefejax.experiments.attack_offender import script
 from slefejax.experiments.attack_settings import SETTINGS
 from slefejax.experiments.attack_workers import results
 from slefejax.experiments.cli import main
-from slefejax.rings import Pattern, direct3d11
+from slefejax.predict import certified, kernel
+from slefejax.tessellator.rings import Pattern, direct3d11
 from tests.test_cli import run_json
 from tests.working import ready, square
 

@@ -7,14 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slefejax import layout, tessellation_factors
-from slefejax.error import pixel_error
+from slefejax import tessellation_factors
 from slefejax.errors import InputError
 from slefejax.experiments import bench_peers as peers
 from slefejax.experiments.bench import Bench, machine_record
 from slefejax.experiments.bench_process import Worker, on_cores
 from slefejax.experiments.bench_stages import STAGES, Setting
 from slefejax.experiments.cli import main
+from slefejax.lanes import layout
+from slefejax.measure.error import pixel_error
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slefejax import InputError, bezier, evaluate_patches
+from slefejax import InputError, evaluate_patches
+from slefejax.geometry import bezier
 
 dyadic = st.integers(-64, 64).map(lambda n: n / 8.0)
 

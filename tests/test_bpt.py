@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slefejax import InputError, load
-from slefejax.bezier import evaluate_patch
+from slefejax.geometry.bezier import evaluate_patch
 
 PATCH = "1 1\n0 0 0\n0 1 0\n1 0 0\n1 1 0\n"
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from slefejax import InputError, bspline_slefe, bspline_slefe_boxes, slefe
-from slefejax.bspline import basis_pieces
+from slefejax.bounds.bspline import basis_pieces
 from slefejax.testing import assert_encloses
 
 

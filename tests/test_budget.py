@@ -19,10 +19,10 @@ from slefejax import (
     tessellation_factors,
     tolerance_for_budget,
 )
-from slefejax.budget import moved
-from slefejax.edges import shared_edges
-from slefejax.tessellator import triangle_counts
-from slefejax.view import bounding_sphere
+from slefejax.geometry.view import bounding_sphere
+from slefejax.study.budget import moved
+from slefejax.tessellator.edges import shared_edges
+from slefejax.tessellator.levels import triangle_counts
 
 FAST = {"method": "slefe", "segments": 1}
 

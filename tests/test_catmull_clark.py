@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from slefejax.conversion.catmull_clark import refine
-from slefejax.defects import find_defects
-from slefejax.mesh import Mesh
+from slefejax.model.defects import find_defects
+from slefejax.model.mesh import Mesh
 from tests.meshes import cube, disc, grid, mixed, triangle_fan
 
 

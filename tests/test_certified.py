@@ -19,7 +19,7 @@ from slefejax import (
     triangle_error,
 )
 from slefejax.cameras import cameras_around
-from slefejax.tessellator import triangle_counts
+from slefejax.tessellator.levels import triangle_counts
 
 from .hostile import case
 
@@ -255,7 +255,7 @@ def test_depth_is_held(teapot, main_view):
     # window depth as if it were a picture's row: one pixel wide pictures of depth
     screen = main_view.world_to_screen
     t = np.linspace(0.0, 1.0, 97)
-    from slefejax.bezier import evaluate_patch
+    from slefejax.geometry.bezier import evaluate_patch
 
     for patch, n in zip(patches[:6], factors.levels[:6], strict=True):
         u, v = (x.ravel() for x in np.meshgrid(t, t, indexing="ij"))

@@ -18,7 +18,7 @@ from slefejax.experiments.options import option_names
 from slefejax.experiments.parsing import parsed
 from slefejax.experiments.report import Report
 from slefejax.figures.stability import write_stability_figure
-from slefejax.relaxing import Relaxed
+from slefejax.study.relaxing import Relaxed
 from tests.meshes import disc
 from tests.test_imports import modules
 

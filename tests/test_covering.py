@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slefejax import InputError, View, tessellation_factors
-from slefejax.covering import covering_error
+from slefejax.measure.covering import covering_error
 
 
 def plain(height=8, width=10, k=2):

@@ -7,9 +7,9 @@ import pytest
 from scipy.optimize import linprog
 
 from slefejax import InputError, curve_constant, slefe_table
-from slefejax.bezier import bernstein
-from slefejax.curves import curve_ratios
-from slefejax.slefe_tables import basis_coefficients
+from slefejax.bounds.slefe_tables import basis_coefficients
+from slefejax.geometry.bezier import bernstein
+from slefejax.study.curves import curve_ratios
 
 
 @pytest.mark.parametrize(("m", "k"), [(1, 1.3959), (2, 1.1529), (3, 1.0948), (4, 1.0687), (5, 1.0539), (6, 1.0443)])

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from slefejax import Camera, InputError, View, sampled_error, tessellation_factors
-from slefejax.certificate import Certificate
-from slefejax.projection import Projection
-from slefejax.rings import direct3d11
-from slefejax.verified import Nets, drawn_grids_hold, grids_hold
+from slefejax.geometry.projection import Projection
+from slefejax.predict.certificate import Certificate
+from slefejax.predict.verified import Nets, drawn_grids_hold, grids_hold
+from slefejax.tessellator.rings import direct3d11
 
 PATTERN = direct3d11()
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from slefejax import load
-from slefejax.bezier import elevate
-from slefejax.edges import Sides, edge_maxima, edge_points, shared_edges
+from slefejax.geometry.bezier import elevate
+from slefejax.tessellator.edges import Sides, edge_maxima, edge_points, shared_edges
 
 
 def grid_patch(rng, du=3, dv=3):

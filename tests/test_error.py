@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from slefejax import Camera, InputError, View
-from slefejax.error import SLIPPED, drawn_error, pixel_error, slip, surface_on_screen
 from slefejax.experiments.minimality import error_shares, slips
+from slefejax.measure.error import SLIPPED, drawn_error, pixel_error, slip, surface_on_screen
 
 
 def bernstein3(t):

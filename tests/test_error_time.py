@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from slefejax import Camera, View
-from slefejax.error import SLIPPED
 from slefejax.experiments import error_time
 from slefejax.experiments.cli import main
 from slefejax.gpu import Triangles
+from slefejax.measure.error import SLIPPED
 
 
 @pytest.fixture(autouse=True)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from slefejax import Camera, InputError, Session, View, load, slefe_table, tessellation_factors
-from slefejax.bezier import evaluate_patch
-from slefejax.kernel import view_pass
+from slefejax.geometry.bezier import evaluate_patch
+from slefejax.predict.kernel import view_pass
 
 slefe_factors = partial(tessellation_factors, method="slefe")
 

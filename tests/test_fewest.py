@@ -7,10 +7,10 @@ from itertools import product
 import numpy as np
 import pytest
 
-from slefejax.direct3d11 import ONE
-from slefejax.fewest import fewest_triangles, lowest
-from slefejax.rings import direct3d11
-from slefejax.tessellator import OWN_AXIS, triangle_counts
+from slefejax.predict.fewest import fewest_triangles, lowest
+from slefejax.tessellator.direct3d11 import ONE
+from slefejax.tessellator.levels import OWN_AXIS, triangle_counts
+from slefejax.tessellator.rings import direct3d11
 
 ROW = np.array([[0, 1, 2, 3], [2, 4, 5, 6], [5, 7, 8, 9]])  # three patches side by side
 FAN = np.array([[0, 1, 2, 3], [0, 4, 5, 6], [0, 7, 8, 9]])  # three on one edge

@@ -21,9 +21,9 @@ from slefejax import (
     screen_twists,
     screen_widths,
 )
-from slefejax.fitting import ESTIMATORS, cross_validated, held_out
-from slefejax.minimal import minimal_factors
-from slefejax.samples import slefe_term
+from slefejax.measure.minimal import minimal_factors
+from slefejax.study.fitting import ESTIMATORS, cross_validated, held_out
+from slefejax.study.samples import slefe_term
 
 TERMS = (slefe_term(3), "twist")
 
@@ -239,7 +239,7 @@ def test_bad_input(rng, call, says):
 
 def test_fits_are_compiled_for_few_sizes(rng):
     """Numbers of samples are padded to powers of 2."""
-    from slefejax.fitting import _descend_jit
+    from slefejax.study.fitting import _descend_jit
 
     fit_km(made(rng, count=300), more=("twist",), target=0.9)
     before = _descend_jit._cache_size()  # type: ignore[attr-defined]

@@ -12,7 +12,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from slefejax import InputError, Session, load
-from slefejax.io.gltf import read_gltf
+from slefejax.io.gltf.read import read_gltf
 from tests.gltf_files import FACES, TETRAHEDRON, Writer, figure, save, stored
 
 

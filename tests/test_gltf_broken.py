@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from slefejax import InputError, load
-from slefejax.io.gltf_file import GltfFile
+from slefejax.io.gltf.file import GltfFile
 from tests.gltf_files import FACES, TETRAHEDRON, Writer, figure, primitive_of, save, stored
 
 
@@ -156,7 +156,7 @@ def test_what_many_parts_ask_for_together(tmp_path, monkeypatch):
     content["accessors"][0]["count"] = 999
     path = save(tmp_path, content)
     assert len(load(path, drop_defects=True).patches()) == 12 * 333
-    monkeypatch.setattr("slefejax.io.gltf_file._MOST_IN_ALL", 30_000)
+    monkeypatch.setattr("slefejax.io.gltf.file._MOST_IN_ALL", 30_000)
     with pytest.raises(InputError, match=r"a\.gltf: its meshes have more than 30,000 numbers in all"):
         load(path)
     places = writer.array(np.zeros((100, 3)))

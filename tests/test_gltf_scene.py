@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from slefejax import InputError, load
-from slefejax.io.gltf import read_gltf
+from slefejax.io.gltf.read import read_gltf
 from tests.gltf_files import FACES, TETRAHEDRON, Writer, figure, primitive_of, save
 
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from slefejax import Camera, InputError, View, tessellation_factors, triangle_error
-from slefejax.bezier import evaluate_patch
-from slefejax.edges import edge_maxima, shared_edges
-from slefejax.tessellator import SPACINGS, levels_for, segments, triangle_counts, widest_pieces
-from slefejax.view import homogeneous
+from slefejax.geometry.bezier import evaluate_patch
+from slefejax.geometry.view import homogeneous
+from slefejax.tessellator.edges import edge_maxima, shared_edges
+from slefejax.tessellator.levels import SPACINGS, levels_for, segments, triangle_counts, widest_pieces
 from tests.test_edges import SYMMETRIES
 
 pytestmark = pytest.mark.gl

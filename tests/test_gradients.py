@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from slefejax import Camera, InputError, View, load, sampled_error, tessellation_factors
-from slefejax.methods import METHODS
+from slefejax.predict.methods import METHODS
 
 FAST: dict[str, dict[str, Any]] = {"slefe": {"segments": 1}, "certified": {"tiles": 1}, "fixed": {"setting": 7.0}}
 EYE = jnp.array([4.5, -6.0, 4.0])

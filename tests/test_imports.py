@@ -15,58 +15,24 @@ from slefejax.late import APP
 
 ROOT = Path(__file__).resolve().parents[1]
 
-# Each layer may import itself and those before it.
-LAYERS = [
+# Folders and single modules of slefejax: each may import itself, and those of the rows above it.
+LADDER = [
     {"errors", "late"},
-    {
-        "bezier",
-        "view",
-        "layout",
-        "maxima",
-        "edges",
-        "tessellator",
-        "slefe_tables",
-        "arguments",
-        "direct3d11",
-        "rings",
-        "fewest",
-        "mesh",
-        "stencils",
-        "skinning",
-        "plain",
-    },
-    {
-        "slefe",
-        "bspline",
-        "tiles",
-        "optimum",
-        "coincidence",
-        "rivals",
-        "projection",
-        "estimate",
-        "packed",
-        "kernel",
-        "methods",
-        "nets",
-        "certified",
-        "verified",
-        "rules",
-        "supremum",
-        "triangles",
-        "triangulation",
-        "error",
-        "defects",
-        "rig",
-        "conversion",
-        "framing",
-        "io",
-        "data",
-    },
-    {"certificate", "proved", "drawn", "factors", "widths", "curves", "deviation", "minimal", "covering"},
-    {"scene", "cameras", "session", "testing", "samples", "fitting", "budget", "sensitivity", "relaxing"},
+    {"arguments"},
+    {"lanes"},
+    {"geometry"},
+    {"bounds", "tessellator", "model"},
+    {"conversion", "framing"},
+    {"io"},
+    {"data"},
+    {"scene"},
+    {"predict", "measure"},
+    {"cameras", "session", "testing"},
+    {"study"},
 ]
-ANALYSIS = set().union(*LAYERS)
-GROUND = LAYERS[0] | LAYERS[1]
+ANALYSIS = set().union(*LADDER)
+BESIDE = {"gpu", "experiments", "figures"}  # links, which a search by name does not enter
+MOST_MODULES = 12  # of a folder
 
 
 def modules() -> dict[str, Path]:
@@ -85,7 +51,7 @@ def imported_parts(path: Path) -> set[str]:
             assert node.level == 0, f"{path}: relative import"
             names = [node.module or ""]
             if node.module == "slefejax":
-                names = [f"slefejax.{a.name}" if files_of(a.name)[0].exists() else "slefejax" for a in node.names]
+                names = [f"slefejax.{a.name}" if a.name in ANALYSIS | BESIDE else "slefejax" for a in node.names]
         for name in names:
             if name.split(".")[0] == "slefejax":
                 parts.add([*name.split("."), ""][1])
@@ -94,27 +60,40 @@ def imported_parts(path: Path) -> set[str]:
 
 def files_of(part: str) -> list[Path]:
     folder = ROOT / "slefejax" / part
-    return sorted(folder.glob("*.py")) if folder.is_dir() else [folder.with_suffix(".py")]
+    return sorted(folder.rglob("*.py")) if folder.is_dir() else [folder.with_suffix(".py")]
 
 
-@pytest.mark.parametrize("level", range(len(LAYERS)))
-def test_analysis_modules_import_their_own_layer_and_below(level):
-    allowed = set().union(*LAYERS[: level + 1])
-    for part in LAYERS[level]:
+@pytest.mark.parametrize("step", range(len(LADDER)))
+def test_folders_import_themselves_and_what_stands_above(step):
+    above = set().union(*LADDER[:step])
+    for part in LADDER[step]:
         for path in files_of(part):
-            assert imported_parts(path) <= allowed, path
+            assert imported_parts(path) <= above | {part}, path
 
 
 def test_every_module_has_its_place():
     parts = {name.split(".")[1] for name in modules() if "." in name} - {"__init__"}
-    parts |= {"gpu", "experiments", "figures"}  # links, which a search by name does not enter
-    assert parts == ANALYSIS | {"gpu", "experiments", "figures", "__main__"}
+    assert parts | BESIDE == ANALYSIS | BESIDE | {"__main__"}
+
+
+def test_folders_are_small_enough_to_be_seen_at_once():
+    folders = {path.parent for path in modules().values()}
+    sizes = {folder: sum(path.name != "__init__.py" for path in folder.glob("*.py")) for folder in folders}
+    assert max(sizes.values()) <= MOST_MODULES, sizes
+
+
+def test_no_function_has_the_name_of_its_module():
+    """Otherwise ``import slefejax.x as m`` gives the function."""
+    import slefejax
+
+    own = {name.split(".")[1] for name in modules() if "." in name}
+    assert not own & set(slefejax.__all__) - {"__init__"}
 
 
 @pytest.mark.parametrize(
     ("part", "allowed"),
     [
-        ("gpu", GROUND | {"gpu"}),
+        ("gpu", {"gpu", "errors", "late", "arguments", "geometry", "tessellator"}),
         ("figures", {"figures", "late"}),
         ("experiments", ANALYSIS | {"", "gpu", "figures", "experiments"}),
         ("__main__", {"experiments"}),
@@ -156,10 +135,10 @@ def packages_imported(path: Path) -> set[str]:
 def test_what_only_pictures_and_the_command_line_need_is_an_extra():
     base, app = module_names(PROJECT["dependencies"]), module_names(EXTRAS["app"])
     assert app == set(APP)
-    computing = [path for name, path in modules().items() if name != "slefejax.covering"] + files_of("gpu")
+    computing = [path for name, path in modules().items() if name != "slefejax.measure.covering"] + files_of("gpu")
     found = set().union(*map(packages_imported, computing))
     assert found == base | module_names(EXTRAS["usd"] + EXTRAS["rhino"])
-    assert packages_imported(ROOT / "slefejax" / "covering.py") - base == {"skimage"}
+    assert packages_imported(ROOT / "slefejax" / "measure" / "covering.py") - base == {"skimage"}
     shown = set().union(*map(packages_imported, files_of("experiments") + files_of("figures")))
     assert shown <= base | app
 

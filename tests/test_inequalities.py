@@ -9,13 +9,21 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from slefejax import layout, nets
-from slefejax.bezier import evaluate_patch
-from slefejax.certified import _CUBIC, _ROUNDING, Piece, Screen, _of_any_triangle, _of_half_cell, certified_factor
-from slefejax.direct3d11 import rings
-from slefejax.projection import Projection
-from slefejax.rings import direct3d11
-from slefejax.tessellator import GRID, HIGHEST_LEVEL, shares
+from slefejax.geometry.bezier import evaluate_patch
+from slefejax.geometry.projection import Projection
+from slefejax.lanes import layout, nets
+from slefejax.predict.certified import (
+    _CUBIC,
+    _ROUNDING,
+    Piece,
+    Screen,
+    _of_any_triangle,
+    _of_half_cell,
+    certified_factor,
+)
+from slefejax.tessellator.direct3d11 import rings
+from slefejax.tessellator.levels import GRID, HIGHEST_LEVEL, shares
+from slefejax.tessellator.rings import direct3d11
 
 from .hostile import case
 

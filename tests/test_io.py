@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slefejax import InputError, load, save
-from slefejax.bezier import evaluate_patch, from_triangle
+from slefejax.geometry.bezier import evaluate_patch, from_triangle
 from slefejax.io.bv import read_bv
 from slefejax.io.obj import read_obj
 from slefejax.scene import read

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from slefejax import layout
+from slefejax.lanes import layout
 
 
 @pytest.mark.parametrize("count", [1, 31, 32, 33, 1000, 1024, 1025, 5000, 12_345])

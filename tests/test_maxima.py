@@ -9,7 +9,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slefejax.maxima import at_least, blur, extent, larger, largest, largest_along, root, sizes, smaller, smallest_along
+from slefejax.lanes.maxima import (
+    at_least,
+    blur,
+    extent,
+    larger,
+    largest,
+    largest_along,
+    root,
+    sizes,
+    smaller,
+    smallest_along,
+)
 
 # subnormal numbers count as 0
 sizes_of_numbers = st.lists(st.just(0.0) | st.floats(1e-90, 1e6), min_size=2, max_size=6)
@@ -107,7 +118,7 @@ def test_no_branch_of_a_gradient_is_dropped(rng, dtype):
     """The smallest of computed numbers, in a loop that is computed again for the gradient.
 
     All points moved along the row change W alone, so that derivative is known: bends / W^2. With ``jnp.min`` part of
-    it is missing in some lanes in jax 0.12.0 and 0.12.0.1: see ``slefejax.maxima``.
+    it is missing in some lanes in jax 0.12.0 and 0.12.0.1: see ``slefejax.lanes.maxima``.
     """
     nets, row = rng.normal(size=(2, 4, 4, 3, 64)).astype(dtype), jnp.asarray([-0.5, 0.7, 0.4, 5.0], dtype)
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from slefejax import InputError
-from slefejax.defects import check_manifold, find_defects, isolated_vertices, without_defects
-from slefejax.mesh import Mesh
+from slefejax.model.defects import check_manifold, find_defects, isolated_vertices, without_defects
+from slefejax.model.mesh import Mesh
 from tests.meshes import cube, disc, grid, mixed, triangle_fan
 
 SQUARE = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [2, 0, 0], [2, 1, 0], [9, 9, 9], [5, 5, 5]]

@@ -11,9 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from slefejax import Camera, InputError, Session, View, load, methods, pack, tessellation_factors, tolerance_for_budget
-from slefejax.kernel import Method, Tolerances
-from slefejax.methods import METHODS, label_of, method_of
+from slefejax import Camera, InputError, Session, View, load, pack, tessellation_factors, tolerance_for_budget
+from slefejax.predict import methods
+from slefejax.predict.kernel import Method, Tolerances
+from slefejax.predict.methods import METHODS, label_of, method_of
 
 
 @dataclass(frozen=True)

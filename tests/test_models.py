@@ -9,9 +9,9 @@ from slefejax import InputError, View, load, sampled_error, tessellation_factors
 from slefejax.cameras import cameras_around
 from slefejax.conversion.acc import acc_patches
 from slefejax.conversion.tangents import tangent_tables
-from slefejax.edges import edge_maxima
-from slefejax.error import SLIPPED, drawn_error, slip
-from slefejax.tessellator import HIGHEST_LEVEL
+from slefejax.measure.error import SLIPPED, drawn_error, slip
+from slefejax.tessellator.edges import edge_maxima
+from slefejax.tessellator.levels import HIGHEST_LEVEL
 
 pytestmark = pytest.mark.gl
 MESHES = [
@@ -142,7 +142,7 @@ def test_tables_of_real_meshes(models, name):
 def test_normals_agree_on_a_real_mesh(models):
     """Of tangent patches at 5 places along every inner edge of the frog, valences 3 to 7."""
     mesh = load(models / "monsterfrog.obj").conversion.mesh  # type: ignore[union-attr]
-    from slefejax.bezier import evaluate_patch
+    from slefejax.geometry.bezier import evaluate_patch
 
     work = acc_patches(mesh)
     du, dv = (table.on_host(mesh.vertices) for table in tangent_tables(mesh, work))

@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from scipy.interpolate import BSpline, NdBSpline
 
 from slefejax import InputError
-from slefejax.bezier import evaluate_curve, evaluate_patch
-from slefejax.bspline import basis_pieces
+from slefejax.bounds.bspline import basis_pieces
 from slefejax.conversion.nurbs import bezier_axis, spline_patches, uniform_knots
 from slefejax.conversion.weld import welded
-from slefejax.edges import shared_edges
+from slefejax.geometry.bezier import evaluate_curve, evaluate_patch
+from slefejax.tessellator.edges import shared_edges
 
 
 def random_knots(rng, count, degree, clamped, repeats):

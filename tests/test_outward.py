@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slefejax import slefe, slefe_boxes, slefe_tiles
-from slefejax.bspline import basis_pieces, bspline_slefe
+from slefejax.bounds.bspline import basis_pieces, bspline_slefe
 from slefejax.experiments import reference
 
 DTYPES = [np.float32, np.float64]

@@ -18,10 +18,18 @@ from slefejax import (
     triangle_error,
     with_pieces,
 )
-from slefejax.edges import edge_maxima, shared_edges
-from slefejax.error import drawn_error
-from slefejax.rings import direct3d11, safe_levels
-from slefejax.tessellator import HIGHEST_LEVEL, MOST_LEVEL, OWN_AXIS, Pieces, pieces, pieces_along, triangle_counts
+from slefejax.measure.error import drawn_error
+from slefejax.tessellator.edges import edge_maxima, shared_edges
+from slefejax.tessellator.levels import (
+    HIGHEST_LEVEL,
+    MOST_LEVEL,
+    OWN_AXIS,
+    Pieces,
+    pieces,
+    pieces_along,
+    triangle_counts,
+)
+from slefejax.tessellator.rings import direct3d11, safe_levels
 from tests.test_gpu import above, lattice, open_edges
 
 CORNER = (3.3, 0.0, 2.4)  # of the teapot's rim: four patches meet

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slefejax import InputError, load
-from slefejax.io.ply import read_ply
+from slefejax.io.ply.read import read_ply
 from tests.meshes import cube, mixed
 from tests.test_io import faces, polygons, write
 

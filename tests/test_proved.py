@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from slefejax import Camera, InputError, View, sampled_error, tessellation_factors, triangle_error, triangulate
-from slefejax.tessellator import pieces_along
-from slefejax.verified import drawn_grids_hold
+from slefejax.predict.verified import drawn_grids_hold
+from slefejax.tessellator.levels import pieces_along
 from tests.test_drawn import flat_on, quadratics
 
 KINDS = ("saddles", "quadratics", "cubics")
@@ -114,7 +114,7 @@ def test_proofs_know_where_lines_are_in_a_picture_with_pieces(monkeypatch):
         asked.append(in_pieces)
         return drawn_grids_hold(nets, pattern, patch, levels, in_pieces)
 
-    monkeypatch.setattr("slefejax.factors.drawn_grids_hold", seen)
+    monkeypatch.setattr("slefejax.predict.factors.drawn_grids_hold", seen)
     a = 4 * 20.4**2
     patches = quadratics([a, 4 * 150.0**2], [0.3 * a, 0.0], [0.9 * a, 0.0])
     view = flat_on(float(2 * np.ceil(np.abs(patches[..., 0]).max()) + 100))

@@ -18,9 +18,9 @@ from slefejax import (
     side_turns,
     surface_distance,
 )
-from slefejax.bezier import evaluate_patch
-from slefejax.deviation import unfolded
-from slefejax.edges import shared_edges
+from slefejax.geometry.bezier import evaluate_patch
+from slefejax.study.deviation import unfolded
+from slefejax.tessellator.edges import shared_edges
 
 FAST = {"method": "slefe", "segments": 1}
 LIMITS = {"within": 0.03, "turn": 10.0}

@@ -12,8 +12,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from slefejax import InputError, Pose, Session, View, load, save, sensitivity
-from slefejax.rig import Rig, Skeleton
-from slefejax.skinning import Influences, Key, ShapeKeys
+from slefejax.model.rig import Rig, Skeleton
+from slefejax.model.skinning import Influences, Key, ShapeKeys
 from tests.test_pair import minimal, put
 
 TURN = np.eye(4)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from slefejax import InputError, load
-from slefejax.bezier import evaluate_patch
-from slefejax.io import rhino_blocks
-from slefejax.io.rhino_blocks import Blocks
+from slefejax.geometry.bezier import evaluate_patch
+from slefejax.io.rhino import blocks as rhino_blocks
+from slefejax.io.rhino.blocks import Blocks
 from slefejax.scene import read
 from tests.meshes import cube
 from tests.test_io import faces, polygons, write

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slefejax.rings import Pattern, direct3d11, safe_levels
+from slefejax.tessellator.rings import Pattern, direct3d11, safe_levels
 
 
 def test_known_rings():

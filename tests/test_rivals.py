@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from slefejax import InputError
-from slefejax.bezier import evaluate_curve, evaluate_patch
-from slefejax.optimum import optimal_curve, optimal_patch
-from slefejax.rivals import (
+from slefejax.bounds.optimum import optimal_curve, optimal_patch
+from slefejax.bounds.rivals import (
     BATCH_METHODS,
     CURVE_METHODS,
     SURFACE_METHODS,
@@ -15,6 +14,7 @@ from slefejax.rivals import (
     enclose_surface,
     polygon_distance,
 )
+from slefejax.geometry.bezier import evaluate_curve, evaluate_patch
 from slefejax.testing import assert_encloses
 
 STEP = np.array([0.0, -1.0, 1.0, 0.0])  # the step-like cubic of [YBP12], figure 2

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from slefejax import InputError
-from slefejax.bezier import evaluate_patch
 from slefejax.experiments import scaling
 from slefejax.experiments.cli import main
+from slefejax.geometry.bezier import evaluate_patch
 
 
 def made_up(rng, noise):

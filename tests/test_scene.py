@@ -8,7 +8,7 @@ import pytest
 from slefejax import InputError, Scene, View, load
 from slefejax.conversion.patchwork import KINDS
 from slefejax.framing import frame_share
-from slefejax.view import turned_up
+from slefejax.geometry.view import turned_up
 from tests.meshes import cube, mixed
 from tests.test_io import OBJ, faces, write
 from tests.test_usd import nurbs_usd
@@ -107,7 +107,7 @@ def test_what_a_scene_leaves_out(tmp_path):
 
 def covered(scene, view):
     """The share of the picture that dense samples of the surface fall into, and whether all of them are in it."""
-    from slefejax.bezier import evaluate_patch
+    from slefejax.geometry.bezier import evaluate_patch
 
     t = np.linspace(0, 1, 90)
     u, v = np.meshgrid(t, t, indexing="ij")

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from slefejax import InputError, Pose, View, dual_quaternion_blend, linear_blend, load, real_triangles, sensitivity
-from slefejax.budget import moved
-from slefejax.view import bounding_sphere
+from slefejax.geometry.view import bounding_sphere
+from slefejax.study.budget import moved
 
 FAST = {"method": "slefe", "segments": 1}
 # of a figure with symmetries: ties have no derivative unless they are smooth

@@ -23,10 +23,10 @@ from slefejax import (
     load,
     tessellation_factors,
 )
-from slefejax.rig import Rig, Skeleton
+from slefejax.model.rig import Rig, Skeleton
+from slefejax.model.skinning import Influences, rotation_matrices
 from slefejax.scene import Scene
 from slefejax.session import PARTS
-from slefejax.skinning import Influences, rotation_matrices
 from tests.meshes import cube
 
 BOX: dict[str, Any] = {"method": "slefe"}

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from slefejax import Camera, InputError, View, load, tessellation_factors, triangle_error, with_pieces
-from slefejax.bezier import evaluate_curve, evaluate_patch
-from slefejax.edges import Sides, edge_maxima, shared_edges
-from slefejax.tessellator import segments
+from slefejax.geometry.bezier import evaluate_curve, evaluate_patch
+from slefejax.tessellator.edges import Sides, edge_maxima, shared_edges
+from slefejax.tessellator.levels import segments
 from tests.mixed import as_bv, boundaries, cube_sphere, in_perspective, open_edges
 from tests.test_edges import SYMMETRIES
 from tests.test_io import write

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from slefejax import InputError
-from slefejax.rig import Motion, Pose, Rig, Skeleton
-from slefejax.skinning import (
+from slefejax.model.rig import Motion, Pose, Rig, Skeleton
+from slefejax.model.skinning import (
     Influences,
     Key,
     ShapeKeys,

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from slefejax import InputError, slefe, slefe_boxes, slefe_table
-from slefejax.bezier import elevate, evaluate_curve, evaluate_patch, restrict
+from slefejax.geometry.bezier import elevate, evaluate_curve, evaluate_patch, restrict
 from slefejax.testing import assert_encloses
 
 # Rounding of an enclosure and of the evaluation that it is compared with: a few dozen operations on numbers of the

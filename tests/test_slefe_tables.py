@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import linprog
 
 from slefejax import InputError, slefe_table
-from slefejax.slefe_tables import basis_coefficients
+from slefejax.bounds.slefe_tables import basis_coefficients
 
 # degree 3, 3 segments, j = 1: solved apart with 40 digits (tangent of the first segment, then touching lines)
 TABLE_1_UPPER = (0.0, -10 / 27, -8 / 27, 0.0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slefejax import InputError
-from slefejax.stencils import StencilTable, _apply_jit
+from slefejax.model.stencils import StencilTable, _apply_jit
 
 
 def random_table(rng, rows, columns, widest):

@@ -12,11 +12,11 @@ import trimesh
 
 from slefejax import Camera, Mesh, Scene, View, convert, tessellation_factors, triangle_error, with_pieces
 from slefejax.cameras import cameras_around
-from slefejax.edges import shared_edges
-from slefejax.error import SLIPPED, drawn_error, pixel_error, slip
 from slefejax.experiments.cli import main
 from slefejax.gpu import strays
 from slefejax.gpu.strays import drawn_at, nearest_drawn
+from slefejax.measure.error import SLIPPED, drawn_error, pixel_error, slip
+from slefejax.tessellator.edges import shared_edges
 from tests.test_gpu import lattice, random_levels
 
 FLOOR = 1e-3  # pixels under an error: vertices are rounded to float32, some eps of the picture's size

@@ -10,13 +10,13 @@ from slefejax import (
     minimal_factors,
     minimal_pairs,
     sampled_error,
-    supremum,
     tessellation_factors,
     triangle_error,
     worst_points,
 )
-from slefejax.triangles import DomainTriangles
-from slefejax.view import homogeneous
+from slefejax.geometry.view import homogeneous
+from slefejax.measure import supremum
+from slefejax.measure.triangles import DomainTriangles
 
 
 def flat_view(width=800, height=600):
@@ -229,8 +229,8 @@ def test_bad_triangles(triangles, says):
 @pytest.mark.parametrize("eye", [(4.5, -6.0, 4.0), (0.5, -5.0, 7.0), (-6.0, 2.0, 1.0), (2.6, -2.2, 2.6)])
 def test_rendered_pixels_agree_with_the_captured_triangles(device, teapot, edges, eye):
     """No pixel errs more than the supremum of its patch's triangles and the renderer's floor; the largest come near."""
-    from slefejax.error import drawn_error
     from slefejax.gpu import Renderer
+    from slefejax.measure.error import drawn_error
 
     view = View(Camera.look_at(eye, (0, 0, 1.2)), 1440, 900)
     factors = tessellation_factors(teapot.patches(), view, "slefe", tolerance=1.0)
@@ -249,8 +249,8 @@ def test_rendered_pixels_agree_with_the_captured_triangles(device, teapot, edges
 @pytest.mark.parametrize("degree", [1, 2, 4])
 def test_rendered_pixels_agree_on_other_surfaces(device, rng, degree):
     """Patches of other degrees, laid in all ways, with random levels, in perspective."""
-    from slefejax.error import drawn_error
     from slefejax.gpu import Renderer
+    from slefejax.measure.error import drawn_error
     from tests.test_gpu import lattice, random_levels
 
     patches = lattice(rng, 5, degree, relief=4.0)

@@ -6,8 +6,8 @@ import pytest
 
 from slefejax import tessellation_factors, worst_points
 from slefejax.cameras import cameras_around
-from slefejax.error import drawn_error
 from slefejax.gpu import Renderer
+from slefejax.measure.error import drawn_error
 
 _COMPILED = "/jax/core/compile/backend_compile_duration"
 

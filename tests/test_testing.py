@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slefejax import Camera, View, slefe, slefe_boxes
-from slefejax.bezier import evaluate_curve, evaluate_patch
+from slefejax.geometry.bezier import evaluate_curve, evaluate_patch
 from slefejax.testing import assert_encloses, assert_pixel_accurate
 
 CURVE = np.array([0.0, -1.0, 1.0, 0.0])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slefejax import InputError, slefe_boxes, slefe_tiles
-from slefejax.bezier import evaluate_patch
+from slefejax.geometry.bezier import evaluate_patch
 
 ROUNDING = 256 * np.finfo(np.float64).eps
 

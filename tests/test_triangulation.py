@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slefejax import Camera, InputError, View, load, tessellation_factors, triangle_error, triangulate
-from slefejax.bezier import elevate, evaluate_patch
-from slefejax.direct3d11 import ONE, places, rings, tessellate
-from slefejax.edges import edge_maxima, shared_edges
-from slefejax.tessellator import SPACINGS, highest_level, segments, triangle_counts, with_pieces
+from slefejax.geometry.bezier import elevate, evaluate_patch
+from slefejax.tessellator.direct3d11 import ONE, places, rings, tessellate
+from slefejax.tessellator.edges import edge_maxima, shared_edges
+from slefejax.tessellator.levels import SPACINGS, highest_level, segments, triangle_counts, with_pieces
 from tests.mixed import as_bv, cube_sphere
 from tests.test_gpu import lattice
 from tests.test_pieces import some_levels

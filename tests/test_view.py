@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slefejax import Camera, InputError, View
-from slefejax.view import frame, homogeneous
+from slefejax.geometry.view import frame, homogeneous
 
 
 def screen(view, point):

@@ -9,8 +9,8 @@ import pytest
 
 from slefejax import InputError, View, load, sampled_error, tessellation_factors, triangle_error
 from slefejax.cameras import cameras_around
-from slefejax.defects import find_defects
-from slefejax.error import SLIPPED, drawn_error, slip
+from slefejax.measure.error import SLIPPED, drawn_error, slip
+from slefejax.model.defects import find_defects
 
 
 @pytest.fixture(scope="module")

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from slefejax import InputError, load, save, tessellation_factors
-from slefejax.bezier import elevate
-from slefejax.coincidence import coincident_sides
 from slefejax.conversion.common import common_degree
 from slefejax.conversion.weld import welded
-from slefejax.edges import collapsed, edge_points, shared_edges
+from slefejax.geometry.bezier import elevate
 from slefejax.io.numbers import Numbers
+from slefejax.tessellator.coincidence import coincident_sides
+from slefejax.tessellator.edges import collapsed, edge_points, shared_edges
 from tests.mixed import as_bv, cube_sphere, in_perspective
 from tests.test_edges import SYMMETRIES
 from tests.test_io import write

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from slefejax import load
-from slefejax.defects import find_defects
-from slefejax.io.gltf import read_gltf
+from slefejax.io.gltf.read import read_gltf
 from slefejax.io.welding import welded_soundly
-from slefejax.mesh import Mesh
+from slefejax.model.defects import find_defects
+from slefejax.model.mesh import Mesh
 from tests.gltf_files import Writer, primitive_of, save
 
 QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]

@@ -31,8 +31,8 @@ from jaxtyping import Bool, Int
 
 from slefejax.conversion.catmull_clark import CORNER, CREASE, SMOOTH, neighbours, rules
 from slefejax.conversion.patchwork import KINDS, Patchwork
-from slefejax.mesh import Fans, Mesh
-from slefejax.stencils import StencilTable
+from slefejax.model.mesh import Fans, Mesh
+from slefejax.model.stencils import StencilTable
 
 ALPHA = 2.5
 

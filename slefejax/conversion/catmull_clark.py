@@ -17,8 +17,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from slefejax.mesh import Mesh
-from slefejax.stencils import StencilTable
+from slefejax.model.mesh import Mesh
+from slefejax.model.stencils import StencilTable
 
 
 def refine(mesh: Mesh) -> tuple[Mesh, StencilTable, Int[np.ndarray, "children"]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slefejax.bezier import elevate
+from slefejax.geometry.bezier import elevate
 
 
 def common_weights(patches: list[np.ndarray]) -> tuple[list[np.ndarray], tuple[str, ...]]:

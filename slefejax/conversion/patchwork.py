@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from slefejax import layout
-from slefejax.edges import Sides
-from slefejax.stencils import StencilTable
+from slefejax.lanes import layout
+from slefejax.model.stencils import StencilTable
+from slefejax.tessellator.edges import Sides
 
 KINDS = ("regular", "extraordinary", "boundary", "crease", "triangle", "spline", "bezier")
 
@@ -53,7 +53,7 @@ class Patchwork:
         return np.asarray(layout.pack(self.net.astype(np.int32)))
 
     def packed(self, control: Any) -> Any:
-        """The same by JAX in the layout of the kernels, ``(chunks, du+1, dv+1, dim, lanes)`` (``slefejax.layout``)."""
+        """The same by JAX in the layout of the kernels, ``(chunks, du+1, dv+1, dim, lanes)`` (``lanes.layout``)."""
         return in_layout(self._points(control), self.packed_net)
 
     def _points(self, control: Any) -> Any:

@@ -15,8 +15,8 @@ from slefejax.conversion.catmull_clark import refine
 from slefejax.conversion.patchwork import Patchwork
 from slefejax.conversion.tangents import tangent_tables
 from slefejax.errors import InputError
-from slefejax.mesh import Mesh
-from slefejax.stencils import StencilTable
+from slefejax.model.mesh import Mesh
+from slefejax.model.stencils import StencilTable
 
 SCHEMES = ("auto", "acc", "pinched", "bspline", "catmull-clark+acc")
 _MOST_STEPS = 8

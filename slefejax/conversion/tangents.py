@@ -24,8 +24,8 @@ from jaxtyping import Bool
 from slefejax.conversion.acc import Neighbourhood, out_and_back
 from slefejax.conversion.catmull_clark import CORNER
 from slefejax.conversion.patchwork import Patchwork
-from slefejax.mesh import Mesh
-from slefejax.stencils import StencilTable
+from slefejax.model.mesh import Mesh
+from slefejax.model.stencils import StencilTable
 
 
 def tangent_tables(mesh: Mesh, patches: Patchwork) -> tuple[StencilTable, StencilTable]:

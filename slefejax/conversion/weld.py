@@ -3,7 +3,7 @@
 Two sides are *twins* if the control points of one, raised to the degree of the other if that is higher, lie within a
 tolerance of the other's, coordinate by coordinate, in the same or in the opposite order. Of sides that are twins of the
 one of the lowest degree, the *owner*, all get its points, raised to their own degree: equal bit for bit once everything
-is raised to one degree, since raising goes step by step (``slefejax.bezier.elevate``).
+is raised to one degree, since raising goes step by step (``slefejax.geometry.bezier.elevate``).
 
 - Corners first: those within the tolerance of one corner, the first in the file, become one point, so that no point
   goes further than that, and no chain of near ones is drawn together. Two ends of a side that would shrink to a point
@@ -11,7 +11,7 @@ is raised to one degree, since raising goes step by step (``slefejax.bezier.elev
 - Only corners of twins move. The inside of a patch stays as it is.
 
 Homogeneous control points (w x, w y, w z, w) may be multiplied by any number without moving the surface, so rational
-twins may have weights that differ by a factor, which neither a tessellator nor ``slefejax.edges`` sees as the same:
+twins may have weights that differ by a factor, which neither a tessellator nor ``tessellator.edges`` sees as the same:
 each patch is multiplied by its own. Weights that are no multiple of the twin's run through the same control points at
 another pace or along another curve, and no factor helps.
 """
@@ -26,11 +26,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from slefejax.bezier import elevate
-from slefejax.edges import EDGES, number_by_first_use
 from slefejax.errors import InputError
+from slefejax.geometry.bezier import elevate
 from slefejax.late import one_at_a_time
-from slefejax.mesh import connected
+from slefejax.model.mesh import connected
+from slefejax.tessellator.edges import EDGES, number_by_first_use
 
 _UNKNOWN_DIGITS = 1e-6  # of the size of a scene
 _ROUNDINGS = 16  # eps of the largest coordinate

@@ -16,9 +16,9 @@ import numpy as np
 from slefejax.conversion.catmull_clark import refine
 from slefejax.io.content import Content
 from slefejax.late import one_at_a_time
-from slefejax.mesh import Mesh
-from slefejax.rig import Motion, Rig, Skeleton
-from slefejax.skinning import Influences, Key, ShapeKeys
+from slefejax.model.mesh import Mesh
+from slefejax.model.rig import Motion, Rig, Skeleton
+from slefejax.model.skinning import Influences, Key, ShapeKeys
 
 FRAMES = 24
 _CELL = 0.078

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from slefejax.bounds.slefe import HIGHEST_DEGREE
 from slefejax.errors import InputError
 from slefejax.io.content import Content
 from slefejax.io.numbers import Numbers
-from slefejax.slefe import HIGHEST_DEGREE
 
 
 def read_bpt(path: Path) -> Content:

@@ -18,12 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
-from slefejax.bezier import from_triangle
+from slefejax.bounds.slefe import HIGHEST_DEGREE
 from slefejax.errors import InputError
+from slefejax.geometry.bezier import from_triangle
 from slefejax.io.content import Content, joined
 from slefejax.io.numbers import Numbers
-from slefejax.mesh import Mesh
-from slefejax.slefe import HIGHEST_DEGREE
+from slefejax.model.mesh import Mesh
 
 
 def read_bv(path: Path) -> Content:

@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from slefejax.io.limits import check_numbers
 from slefejax.io.numbers import Numbers
 from slefejax.late import one_at_a_time
-from slefejax.rig import Motion
+from slefejax.model.rig import Motion
 
 _CHANNELS = {f"{axis}{kind}": (kind, k) for kind in ("position", "rotation") for k, axis in enumerate("XYZ")}
 _BY_LOWER = {name.lower(): channel for name, channel in _CHANNELS.items()}

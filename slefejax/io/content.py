@@ -13,8 +13,8 @@ from jaxtyping import Float
 
 from slefejax.errors import InputError
 from slefejax.io.limits import LARGEST_FILE, check_size
-from slefejax.mesh import Mesh
-from slefejax.rig import Rig
+from slefejax.model.mesh import Mesh
+from slefejax.model.rig import Rig
 
 _MEGABYTES = {"usd": 2048, "3dm": 512}  # for a library itself
 Y_UP, Z_UP = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)

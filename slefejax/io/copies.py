@@ -11,9 +11,9 @@ from scipy.sparse import block_diag, csr_array
 from slefejax.arguments import is_whole
 from slefejax.errors import InputError
 from slefejax.io.content import Content, joined
-from slefejax.rig import Motion, Pose, Rig, Skeleton
-from slefejax.skinning import Influences, ShapeKeys
-from slefejax.stencils import StencilTable
+from slefejax.model.rig import Motion, Pose, Rig, Skeleton
+from slefejax.model.skinning import Influences, ShapeKeys
+from slefejax.model.stencils import StencilTable
 
 _APART = 1.1  # of the width of one
 _MOST = 1000

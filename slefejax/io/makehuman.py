@@ -22,8 +22,8 @@ from slefejax.io.limits import LARGEST_TEXT, check_numbers
 from slefejax.io.numbers import Numbers, parse_whole
 from slefejax.io.obj import read_obj
 from slefejax.late import one_at_a_time
-from slefejax.rig import Motion, Rig, Skeleton
-from slefejax.skinning import Influences, Key, ShapeKeys
+from slefejax.model.rig import Motion, Rig, Skeleton
+from slefejax.model.skinning import Influences, Key, ShapeKeys
 
 # MakeHuman exports poses with z up; its meshes have y up.
 _UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])

@@ -22,7 +22,7 @@ from slefejax.errors import InputError, naming
 from slefejax.io.content import Y_UP, Content, read_bytes
 from slefejax.io.limits import LARGEST_TEXT
 from slefejax.io.numbers import lines_of, parse_real, parse_whole, words_before
-from slefejax.mesh import Mesh
+from slefejax.model.mesh import Mesh
 
 _IRRELEVANT = {"vt", "vn", "s", "usemtl", "mtllib", "usemap", "maplib", "shadow_obj", "trace_obj", "lod", "bevel"}
 _IRRELEVANT |= {"c_interp", "d_interp", "mg"}

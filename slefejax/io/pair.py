@@ -21,10 +21,10 @@ import numpy as np
 from slefejax.errors import InputError
 from slefejax.io.content import Content, read_bytes
 from slefejax.io.limits import LARGEST_TEXT, check_count, check_size, within
-from slefejax.mesh import Mesh
-from slefejax.rig import Motion, Pose, Rig, Skeleton
-from slefejax.skinning import Influences, Key, ShapeKeys
-from slefejax.stencils import StencilTable
+from slefejax.model.mesh import Mesh
+from slefejax.model.rig import Motion, Pose, Rig, Skeleton
+from slefejax.model.skinning import Influences, Key, ShapeKeys
+from slefejax.model.stencils import StencilTable
 
 FORMAT, VERSION = "slefejax rig", 1
 _SHARP = ("creases", "crease_sharpness", "points", "point_sharpness")

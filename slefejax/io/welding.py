@@ -15,8 +15,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from slefejax.defects import find_defects
-from slefejax.mesh import Mesh, connected
+from slefejax.model.defects import find_defects
+from slefejax.model.mesh import Mesh, connected
 
 _EQUAL = 1e-6  # radians between faces that lie on each other
 

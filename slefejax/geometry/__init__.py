@@ -1,0 +1,1 @@
+"""Bernstein form, camera and viewport, patches brought to where kernels' numbers hold them."""

@@ -1,0 +1,150 @@
+"""Patches in the layout of the kernels, and brought to where the kernels' numbers hold them.
+
+Kernels compute with points relative to an origin near to them or to the eye. The origin is taken off in the precision
+that the points come in, before anything is rounded: on the host where that is more than JAX has, or where a scene is so
+small or so large that single numbers of it are none any more (``Packed.placed``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import jax
+import numpy as np
+from jax.core import Tracer
+
+from slefejax.arguments import Patches, check_patches, check_weights
+from slefejax.geometry.projection import Projection, least_distance, relative
+from slefejax.geometry.view import View
+from slefejax.lanes import layout
+
+
+@dataclass(frozen=True, eq=False)
+class Packed:
+    """Patches as the kernels want them; make it with ``pack``, or ``Packed.made`` of chunks that are there.
+
+    given : ``(patches, du+1, dv+1, dim)``, in whatever precision they came in; None if they were made as chunks
+    own   : chunks ``(chunks, du+1, dv+1, dim, lanes)`` (``lanes.layout``); None if they are made of those given
+    count : how many patches there are
+    rounded : whether the chunks have fewer digits than the patches had
+    """
+
+    given: Any
+    own: Any
+    count: int
+    rounded: bool
+
+    @staticmethod
+    def made(chunks: Any, count: int, rounded: bool = False) -> Packed:
+        """Patches that are in the layout of the kernels already."""
+        return Packed(None, chunks, count, rounded)
+
+    def __len__(self) -> int:
+        return self.count
+
+    @cached_property
+    def chunks(self) -> Any:
+        """In the layout of the kernels, and in JAX's precision."""
+        return layout.pack(self.given) if self.own is None else self.own
+
+    @property
+    def dimension(self) -> int:
+        """3, or 4 if they are rational."""
+        return self.own.shape[3] if self.given is None else self.given.shape[3]
+
+    @property
+    def dtype(self) -> Any:
+        """Of the numbers that kernels compute with."""
+        return self.own.dtype if self.given is None else jax.dtypes.canonicalize_dtype(self.given.dtype)
+
+    def patches(self) -> Any:
+        """In the order of users, ``(patches, du+1, dv+1, dim)``: those given, or made of the chunks."""
+        if self.given is not None:
+            return self.given
+        traced = isinstance(self.own, Tracer)
+        return layout.unpack(self.own, self.count) if traced else layout.unpack_on_host(self.own, self.count)
+
+    def placed(self, view: View) -> tuple[Any, Projection]:
+        """Chunks near to an origin, or in a unit, in which their digits are held, and the projection for these."""
+        unit = _unit(view, self.dtype)
+        exact = self.given is None or self.given.dtype == self.dtype
+        source = self.own if self.given is None else self.given
+        known = not isinstance(source, Tracer) and isinstance(view.camera.world_to_eye, np.ndarray)
+        if not known or (exact and unit == 1.0):
+            origin = line_of_sight(view, self.chunks)
+            return self.chunks, Projection.of(view, self.dtype, origin, self.rounded)
+        points = np.asarray(self.patches(), np.float64)
+        origin = _beside_nearest(view, np.moveaxis(points[:, 0, 0], 0, -1))
+        near = relative(points, origin, axis=-1)
+        near[..., :3] *= unit
+        moved = Projection.of(_in_units(view, unit), self.dtype, origin * unit)
+        with np.errstate(over="ignore"):  # what overflows is refused with the patch's number
+            near = near.astype(self.dtype)
+        return layout.pack(near), moved._replace(origin=np.zeros(3, self.dtype))
+
+
+jax.tree_util.register_pytree_node(
+    Packed,
+    lambda packed: ((packed.chunks,), (packed.count, packed.rounded)),
+    lambda kept, children: Packed.made(children[0], *kept),
+)
+
+
+def pack(patches: Patches) -> Packed:
+    """Patches in the layout of the kernels, made once: taken wherever patches are.
+
+    patches : control points ``(patches, du+1, dv+1, 3)``, u before v, any bi-degree; 4 at the end if rational, with
+              positive weights; or what this function returned
+
+    Raises InputError for wrong shapes and weights.
+
+    >>> from slefejax import load
+    >>> len(pack(load("teapot").patches()))
+    32
+    """
+    if isinstance(patches, Packed):
+        return patches
+    patches = check_patches(patches)
+    check_weights(patches)
+    return Packed(patches, None, len(patches), patches.dtype != jax.dtypes.canonicalize_dtype(patches.dtype))
+
+
+def _unit(view: View, dtype: Any) -> float:
+    """What to multiply a scene by whose numbers would not be held: a power of two, 1 for all but strange ones."""
+    camera = view.camera
+    size = camera.near if camera.perspective else camera.extent
+    least = least_distance(dtype)
+    if isinstance(size, Tracer) or least <= size <= 1.0 / least:
+        return 1.0
+    return float(2.0 ** -np.floor(np.log2(float(size))))
+
+
+def _in_units(view: View, unit: float) -> View:
+    camera = view.camera
+    names = ("eye", "target", "near", "far") + (() if camera.perspective else ("extent",))
+    return replace(view, camera=replace(camera, **{name: getattr(camera, name) * unit for name in names}))
+
+
+def line_of_sight(view: View, packed: Any) -> Any:
+    """An origin for control points in the layout of the kernels: on the line of sight, beside the nearest of them.
+
+    That is the eye if some are beside or behind it. There points that matter have small coordinates, and those of the
+    origin on the screen are 0. The eye, too, if points or view are traced.
+    """
+    camera = view.camera
+    if isinstance(packed, Tracer) or not isinstance(camera.world_to_eye, np.ndarray):
+        return camera.eye.astype(packed.dtype)
+    corners = np.moveaxis(np.asarray(packed)[:, 0, 0].astype(np.float64), 1, 0)
+    return _beside_nearest(view, corners.reshape(len(corners), -1)).astype(packed.dtype)
+
+
+def _beside_nearest(view: View, corners: np.ndarray) -> np.ndarray:
+    """The same in float64, from one control point of each patch, ``(dim, patches)``."""
+    camera = view.camera
+    with np.errstate(invalid="ignore", over="ignore"):
+        points = corners[:3] / (corners[3] if len(corners) == 4 else 1.0)
+        ahead = -camera.world_to_eye[2, :3] @ (points - camera.eye[:, None])
+    nearest = np.min(ahead, where=np.isfinite(ahead), initial=camera.far)
+    return camera.eye - max(nearest, 0.0) * camera.world_to_eye[2, :3]

@@ -1,0 +1,1 @@
+"""PLY files, as text and binary."""

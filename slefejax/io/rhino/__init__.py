@@ -1,0 +1,1 @@
+"""Rhino files, .3dm, through rhino3dm."""

@@ -1,0 +1,1 @@
+"""How kernels run: layout of patches in memory, cores, nets, exact and soft maxima, plain pytrees."""

@@ -1,0 +1,106 @@
+"""The error of what was drawn, against the exact surface (docs/math.md, 4).
+
+Nothing here is shared with the prediction but the camera. Everything is computed in float64, whatever JAX's
+settings are.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from slefejax.errors import InputError
+from slefejax.geometry.bezier import evaluate_patch
+from slefejax.geometry.view import View, homogeneous
+from slefejax.lanes import layout
+
+SLIPPED = 1 / 16  # pixels
+
+
+def pixel_error(
+    patches: Float[np.ndarray, "patches nu nv dim"],
+    view: View,
+    u: Float[np.ndarray, "height width"],
+    v: Float[np.ndarray, "height width"],
+    patch: Int[np.ndarray, "height width"],
+    drawn: Float[np.ndarray, "height width 2"] | None = None,
+) -> Float[np.ndarray, "height width"]:
+    """The parametric error of every pixel: max(|dx|, |dy|) between P(p(u, v)) and where it was drawn ([YBP12], (1)).
+
+    patches     : control points, ``(patches, du+1, dv+1, 3)`` or, rational, 4 at the end
+    u, v, patch : what the renderer found at each pixel centre, row 0 at the bottom; patch -1 where nothing is
+    drawn       : where it drew that point, in pixels from the pixel's centre; None: at the centre
+    returns     : pixels, float64; NaN where nothing is, infinite where the exact point is not in front of the camera
+
+    Colours in the pictures of [YBP12]: grey up to 0.1 pixel, blue up to 0.5, green up to 1, red above.
+    """
+    rows, columns = np.nonzero(patch >= 0)
+    error = np.full(patch.shape, np.nan)
+    if rows.size:
+        at = (rows, columns)
+        place = np.stack([columns, rows], axis=1) + 0.5
+        if drawn is not None:
+            place += drawn[at]
+        screen = surface_on_screen(patches, view, patch[at], u[at], v[at])
+        distance = np.max(np.abs(screen[:, :2] - place), axis=1)
+        error[at] = np.where(np.isnan(distance), np.inf, distance)
+    return error
+
+
+def drawn_error(
+    patches: Float[np.ndarray, "patches nu nv dim"], view: View, seen: Any
+) -> Float[np.ndarray, "height width"]:
+    """``pixel_error`` of what was drawn, and where: the error of its triangles, whatever the driver did beside it.
+
+    seen : a ``slefejax.gpu.GBuffer``, or anything with ``.u``, ``.v`` and ``.patch``, and ``.drawn`` unless every pixel
+           shows what was drawn at its centre
+
+    From the pixel's centre the exact point is no further than ``drawn_error`` and ``slip`` together.
+    """
+    return pixel_error(patches, view, seen.u, seen.v, seen.patch, getattr(seen, "drawn", None))
+
+
+def slip(seen: Any) -> Float[np.ndarray, "height width"]:
+    """How far from its centre a pixel's point was drawn: max(|dx|, |dy|) in pixels, NaN where nothing is.
+
+    seen : with ``.patch`` and ``.drawn``, such as a ``slefejax.gpu.GBuffer``
+
+    That is the driver's doing. Float32 makes it some ten thousandths of a pixel; it is more in triangles that are seen
+    edge on, thinner than the grid that drivers snap corners to. A pixel whose slip is above ``SLIPPED`` has slipped.
+    """
+    return np.where(seen.patch >= 0, np.max(np.abs(seen.drawn), axis=-1).astype(np.float64), np.nan)
+
+
+def surface_on_screen(
+    patches: Float[np.ndarray, "patches nu nv dim"],
+    view: View,
+    patch: Int[np.ndarray, "points"],
+    u: Float[np.ndarray, "points"],
+    v: Float[np.ndarray, "points"],
+) -> Float[np.ndarray, "points 3"]:
+    """P(p(u, v)): screen position in pixels and window depth of points of patches, float64.
+
+    NaN for a point that is not in front of the camera (W <= 0). Raises InputError for a patch number that is not there.
+    """
+    if patch.size and not (patch.min() >= 0 and patch.max() < len(patches)):
+        raise InputError(f"patch numbers must be from 0 to {len(patches) - 1}, not {patch.min()} to {patch.max()}")
+    with jax.enable_x64(True):
+        control: Any = homogeneous(np.asarray(patches, np.float64)) @ np.asarray(view.world_to_screen).T
+        # once, not for every block of samples
+        control = jax.device_put(np.ascontiguousarray(np.moveaxis(control, 0, -1)))
+        samples = np.column_stack([u, v, patch]).astype(np.float64)
+        return layout.through(lambda packed: _evaluate(packed, control), samples)
+
+
+@layout.as_pass()
+def _evaluate(samples: Float[Any, "chunks 3 lanes"], control: Float[Any, "nu nv 4 patches"]) -> Any:
+    def positions(chunk: Any) -> Any:
+        own = control[..., chunk[2].astype(jnp.int32)]
+        point = evaluate_patch(own, chunk[0], chunk[1])
+        return jnp.where(point[3] > 0, point[:3] / point[3], jnp.nan)
+
+    return layout.over_chunks(positions, samples)

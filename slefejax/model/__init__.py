@@ -1,0 +1,1 @@
+"""Control meshes and their defects, stencils, skinning, rigs."""

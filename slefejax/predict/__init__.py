@@ -1,0 +1,1 @@
+"""Tessellation factors: methods as values, the published estimate, the certified factor and its levels, other rules."""

@@ -1,0 +1,439 @@
+"""A tessellation factor with a proof: docs/certified.md has the theorem, and the letters that are used here.
+
+Kernels run with the patches along the last axis (``slefejax.lanes.layout``), on nets that are unrolled or arrays
+(``lanes.nets``). Unrolled, the compiler makes one loop of everything between two divisions or roots, and repeats
+what several loops need, so there are few of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial, reduce
+from math import perm
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from slefejax.geometry.bezier import tile_matrices
+from slefejax.geometry.projection import Projection
+from slefejax.lanes import layout, nets
+from slefejax.lanes.maxima import larger, largest, sizes, smaller
+from slefejax.lanes.nets import Lanes, Net
+
+Hessian = tuple[Net | None, Net, Net | None]
+Extent = tuple[Any, Any]  # sides of the box that holds a triangle, in units of 1/n, along u and v
+
+_CUBIC = 1.0 / (12.0 * 27.0**0.5)  # the largest (1 - z^2) z / 24
+_THIRD = ((3, 0, 1.0), (2, 1, 3.0), (1, 2, 3.0), (0, 3, 1.0))  # d/du, d/dv, multiplicity
+_UNROLLED = 16  # coefficients that are still unrolled
+_ROUNDING = 16.0  # a coefficient of a tile is wrong by at most half of this, in eps of the sum of its terms' sizes
+
+
+def certified_factors(
+    packed: Float[Array, "chunks nu nv dim lanes"], projection: Projection, scales: tuple[Any, Any, Any], tiles: int
+) -> Float[Array, "chunks lanes"]:
+    """``certified_factor`` of all chunks, differentiable in forward and reverse mode.
+
+    scales : tolerance, depth tolerance and temperature, the last two or one None if they were not asked for
+    """
+    # with constants: differentiation neither sees nor repeats this loop
+    factor = _over_chunks(*jax.lax.stop_gradient((packed, projection, scales)), tiles)
+    return _with_slopes(tiles, factor, packed, projection, scales)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _with_slopes(tiles: int, factor: Any, packed: Any, projection: Projection, scales: tuple) -> Any:
+    """The factors, with the derivatives of the same kernel on arrays: of the unrolled one they would take minutes."""
+    return factor
+
+
+@_with_slopes.defjvp
+def _derivative(tiles: int, at: tuple, along: tuple) -> tuple:
+    arrays = partial(_over_chunks, tiles=tiles, unrolled=False, apart=True)
+    return at[0], jax.jvp(arrays, at[1:], along[1:])[1]
+
+
+def _over_chunks(
+    packed: Any, projection: Any, scales: tuple, tiles: int, unrolled: bool | None = None, apart: bool = False
+) -> Any:
+    def kernel(control: Any, projection: Any, tolerance: Any, depth_tolerance: Any, smooth: Any) -> Any:
+        return certified_factor(
+            projection.relative(control),
+            projection,
+            tolerance,
+            depth_tolerance,
+            tiles=tiles,
+            unrolled=unrolled,
+            smooth=smooth,
+        )
+
+    return layout.over_chunks(kernel, packed, projection, *scales, apart=apart)
+
+
+def certified_factor(
+    control: Float[Array, "nu nv dim lanes"],
+    projection: Projection,
+    tolerance: Any,
+    depth_tolerance: Any,
+    extent: Extent = (1.0, 1.0),
+    evenness: Any = 1.0,
+    *,
+    tiles: int,
+    any_triangle: bool = False,
+    unrolled: bool | None = None,
+    smooth: Any = None,
+) -> Float[Array, "lanes"]:
+    """A real n >= 1 from which on the bound of docs/certified.md is at most the tolerance; 0 for an unseen patch.
+
+    control    : relative to the projection's origin
+    unrolled   : the form of the nets; None: what suits their degrees
+    smooth     : a temperature (``lanes.maxima``) for the maxima that make n: over coefficients, both ends of the
+                 picture, coordinates, tiles. Whether a patch is seen, and what it reaches of the picture, stays so
+
+    For n and every larger number the bound holds for all triangles that are half of a box of sides extent/n in the
+    domain, or of a box with sides of at least ``evenness`` times that, wherever they are visible; with ``any_triangle``
+    for triangles of any shape that lie in the box.
+    """
+    if unrolled is None:
+        unrolled = control.shape[0] * control.shape[1] <= _UNROLLED and control.shape[2] == 3 and smooth is None
+    screen = Screen.of(control, projection, tolerance, depth_tolerance, unrolled)
+    measure = _of_any_triangle if any_triangle else partial(_of_half_cell, evenness=evenness, smooth=smooth)
+    bends = [_largest_sum(net, extent, smooth) for net in (*screen.rows[:2], screen.w)]
+    if tiles == 1:
+        # n is at least what the corners need, which is known without a second loop
+        whole = Piece.of(screen, screen.rows, screen.w, 1)
+        least = _least_square(screen, whole, extent, smooth)
+        inverse = 1.0 / jnp.sqrt(least)
+        square = _square(screen, whole, bends[2], extent, measure, inverse, smooth)
+        square = largest([square, jnp.where(least > 1.0, least, 0.0)], smooth)
+    else:
+
+        def step(found: Lanes, matrices: tuple[Any, Any], rows_now: tuple[int, ...]) -> tuple[Lanes, None]:
+            if unrolled:
+                # lanes all the same: with single numbers the compiler would split the loop
+                lanes = screen.w_size.shape
+                matrices = jax.tree.map(lambda x: [[jnp.broadcast_to(c, lanes) for c in row] for row in x], matrices)
+            *rows, w = (nets.combined(net, *matrices) for net in (*screen.rows, screen.w))
+            piece = Piece.of(screen, rows, w, tiles)
+            square = _square(screen, piece, bends[2], extent, measure, smooth=smooth, numbers=rows_now)
+            return largest([found, smaller(square, _last_visible(screen, piece, bends))], smooth), None
+
+        matrices = tile_matrices(control.shape[0], control.shape[1], tiles)
+        matrices = jax.tree.map(lambda x: jnp.asarray(x, control.dtype), matrices)
+        square = jnp.zeros_like(screen.w_size)
+        for group in ((0, 1), (2,))[: len(screen.rows) - 1] if unrolled else (tuple(range(len(screen.rows))),):
+            square, _ = jax.lax.scan(partial(step, rows_now=group), square, matrices)
+    rounded = 1.0 + 128.0 * jnp.finfo(control.dtype).eps
+    # a bound that 1 fulfils is not rounded up: flat patches are one quad
+    square = largest([square * rounded, jnp.ones_like(square)], smooth)
+    return jnp.sqrt(jnp.where(screen.visible, square, 1.0)) * jnp.where(screen.visible, 1.0, 0.0)
+
+
+class Screen(NamedTuple):
+    """Patches in undivided screen coordinates, each row over its tolerance, and what rounding may have done to them."""
+
+    rows: list[Net]  # X, Y and, if there is a depth tolerance, Z: X/W = 1 is one tolerance from the centre
+    w: Net
+    half: list[Any]  # half the picture's extent for every row
+    floor: Lanes  # W of a visible point is at least this
+    sizes: list[Lanes]  # of the terms that a row's g_s is summed from: its rounding errors are proportional to them
+    w_size: Lanes
+    eps: float
+    visible: Lanes  # not all control points outside of one plane of the view volume
+    rational: bool
+
+    @staticmethod
+    def of(control: Any, projection: Projection, tolerance: Any, depth_tolerance: Any, unrolled: bool) -> Screen:
+        """From control points relative to the origin. An unseen patch may count as visible, never the reverse."""
+        rational = control.shape[2] == 4
+        scales = [1.0 / tolerance, 1.0 / tolerance, 1.0 if depth_tolerance is None else 1.0 / depth_tolerance]
+        half = [extent * scale for extent, scale in zip(projection.half, scales, strict=True)]
+        matrix = [row * scale for row, scale in zip(projection.to_pixels, (*scales, 1.0), strict=True)]
+        points = nets.coordinates(control, unrolled)
+        rows = [[row[a] for a in range(4)] for row in matrix]
+        x, y, z, w = (nets.each(partial(_image, row), *points) for row in rows)
+        largest = [nets.top(nets.each(jnp.abs, coordinate)) for coordinate in points]
+        # of rational patches coordinates times weights were taken off
+        weight = largest[3] if rational else projection.rounded
+        moved = [c + jnp.abs(o) * weight for c, o in zip(largest, projection.origin, strict=False)]
+        largest = [*moved, largest[3] if rational else 1.0]
+        *own, w_size = (nets.total([jnp.abs(m) * c for m, c in zip(row, largest, strict=True)]) for row in rows)
+        sizes = [size + extent * w_size for size, extent in zip(own, half, strict=True)]
+        eps = float(jnp.finfo(control.dtype).eps)
+        inside = []
+        for net, extent, size in zip((x, y, z), half, sizes, strict=True):
+            error = _ROUNDING * eps * size
+            inside += [reach + error for reach in _reaches(net, w, extent)]
+        # a reduction of stacked arrays would not be vectorised
+        visible = reduce(jnp.logical_and, [reach >= 0 for reach in inside])
+        weight = nets.bottom(points[3]) if rational else jnp.ones_like(largest[0])
+        count = 2 if depth_tolerance is None else 3
+        floor = projection.near_w * weight
+        return Screen([x, y, z][:count], w, half[:count], floor, sizes[:count], w_size, eps, visible, rational)
+
+
+class Piece(NamedTuple):
+    """A patch or a tile of it, and the part of the picture that it can reach."""
+
+    rows: list[Net]
+    w: Net
+    inverse: Net  # 1/W of the coefficients, from above
+    widest: Lanes  # the largest of them
+    ends: list[tuple[Lanes, Lanes]]  # of the part of the picture, for every row
+    within: list[Lanes]  # whether it ends inside of the picture, for every row
+    scale: float  # second derivatives of the patch are these times those of the tile
+
+    @staticmethod
+    def of(screen: Screen, rows: list[Net], w: Net, tiles: int) -> Piece:
+        """Where W may lie below the floor, the floor stands for it, and all of the picture is reached."""
+        error = _ROUNDING * screen.eps
+        w_blur = error * screen.w_size
+        safe = nets.each(lambda c: c - w_blur, w)
+        deep = nets.bottom(safe) >= screen.floor
+        inverse = nets.each(lambda c: 1.0 / jnp.where(deep, c, screen.floor), safe)
+        widest = nets.top(inverse)
+        # where an end is on the far side of 0, dividing by the largest W takes it furthest: W + blur, not W - blur
+        least = 1.0 - 2.0 * w_blur * widest
+        ends, within = [], []
+        for net, half, size in zip(rows, screen.half, screen.sizes, strict=True):
+            limit = jnp.broadcast_to(half, deep.shape)
+            blur = error * size
+            low = jnp.where(deep, nets.bottom(nets.each(lambda c, i, e=blur: (c - e) * i, net, inverse)), -limit)
+            high = jnp.where(deep, nets.top(nets.each(lambda c, i, e=blur: (c + e) * i, net, inverse)), limit)
+            low, high = smaller(low, low * least), larger(high, high * least)
+            ends.append((_clip(low, limit), _clip(high, limit)))
+            within.append(deep & (low >= -limit) & (high <= limit))
+        return Piece(rows, w, inverse, widest, ends, within, float(tiles**2))
+
+
+class Remainder(NamedTuple):
+    """Bounds of the higher derivatives of g_s over a patch, for s in an interval."""
+
+    along_u: Lanes  # |g_uuu| e_u^3 + 3 |g_uuv| e_u^2 e_v
+    along_v: Lanes  # |g_vvv| e_v^3 + 3 |g_uvv| e_u e_v^2
+    fourth: Lanes  # over 288
+
+
+def _remainder(row: list[Net], w: list[Net], ends: tuple[Lanes, Lanes], extent: Extent, smooth: Any) -> Remainder:
+    """The fourth derivatives are differences of the third, times a degree: bounded by twice as much.
+
+    row, w : the polynomials and their third differences
+    """
+    tops, (du, dv) = [], nets.degrees(row[0])
+    for (i, j, times), own, depth in zip(_THIRD, row[1:], w[1:], strict=True):
+        scale = times * perm(du, i) * perm(dv, j) * extent[0] ** i * extent[1] ** j
+        tops.append(scale * _largest_at(ends, own, depth, smooth) if nets.size(own) else jnp.zeros_like(ends[0]))
+    uuu, uuv, uvv, vvv = tops
+    by_u = max(du - 3, 0) * extent[0] * uuu + (4 * (du - 2) * extent[0] / 3 + (dv - 1) * extent[1]) * uuv
+    by_v = max(dv - 3, 0) * extent[1] * vvv + (4 * (dv - 2) * extent[1] / 3 + (du - 1) * extent[0]) * uvv
+    return Remainder(uuu + uuv, vvv + uvv, (by_u + by_v) / 144.0)
+
+
+def _third_differences(net: Net) -> list[Net]:
+    """The net, and its differences of third order."""
+    return [net, *(nets.differences(net, i, j) for i, j, _ in _THIRD)]
+
+
+def _least_square(screen: Screen, whole: Piece, extent: Extent, smooth: Any) -> Lanes:
+    """The square of what n is at least by the second derivatives at the corners: remainders are taken there.
+
+    Any number >= 1 would do for the proof; one just below n loses least.
+    """
+    square = jnp.ones_like(whole.widest)
+    depth = _plain_hessian(screen.w, extent)
+    for row in screen.rows:
+        own = _plain_hessian(row, extent)
+        for i, j in ((0, 0), (0, -1), (-1, 0), (-1, -1)):
+            inverse = whole.inverse[i][j]
+            s = row[i][j] * inverse
+            value = [x[i][j] - s * y[i][j] if nets.size(x) else None for x, y in zip(own, depth, strict=True)]
+            square = largest([square, _of_half_cell(*value, smooth=smooth) * inverse / 8.0], smooth)
+    return square
+
+
+def _square(
+    screen: Screen,
+    piece: Piece,
+    w_bend: Lanes,
+    extent: Extent,
+    measure: Callable[..., Lanes],
+    inverse: Lanes | None = None,
+    smooth: Any = None,
+    numbers: tuple[int, ...] | None = None,
+) -> Lanes:
+    """n^2 at which the bound for the points of a tile is at most 1.
+
+    numbers : of the rows that are looked at; None: of all
+    inverse : 1/n is at most that; None: what the second derivatives say
+    """
+    depth, w = _hessian(piece.w, extent), _third_differences(screen.w)
+    degree = sum(nets.degrees(piece.w))
+    rounding = 2.0 * _ROUNDING * screen.eps * (degree**2 / 8.0 + degree**3 / 24.0 + degree**4 / 72.0)
+    squares = []
+    for k in range(len(piece.rows)) if numbers is None else numbers:
+        row, ends, size = piece.rows[k], piece.ends[k], screen.sizes[k]
+        remainder = _remainder(_third_differences(screen.rows[k]), w, ends, extent, smooth)
+        hessian = _hessian(row, extent)
+        tops = [nets.top(_measured(measure, s, hessian, depth, piece.inverse), smooth) for s in ends]
+        second = largest(tops, smooth)
+        if screen.rational:
+            followed = _followed(screen, piece, row, size, extent, measure, smooth)
+            second = jnp.where(piece.within[k], smaller(second, followed), second)
+        second = second * piece.scale
+        upper = 1.0 / jnp.sqrt(larger(second / 8.0, jnp.ones_like(second))) if inverse is None else inverse
+        both = remainder.along_u + remainder.along_v
+        if measure is _of_any_triangle:
+            third = both / 48.0
+        else:
+            more = largest([remainder.along_u, remainder.along_v], smooth)
+            third = (_CUBIC - 1.0 / 288.0) * more + both / 288.0
+            second = largest([second, more * piece.widest * upper], smooth)
+        rest = (third + remainder.fourth * upper) * upper + w_bend / 8.0 + rounding * size
+        squares.append(second / 8.0 + rest * piece.widest)
+    return largest(squares, smooth)
+
+
+def _followed(
+    screen: Screen, piece: Piece, row: Net, size: Lanes, extent: Extent, measure: Callable[..., Lanes], smooth: Any
+) -> Lanes:
+    """The largest measure of the Hessian of g_s* over W where s* = X/W follows the place: docs/certified.md, (7).
+
+    A bilinear s stands for X/W, and the largest distance between the two counts in full. The second derivatives of W of
+    rational patches are large, so that it matters which s goes with them.
+    """
+    corners = [[row[i][j] * piece.inverse[i][j] for j in (0, -1)] for i in (0, -1)]
+    du, dv = (d + 1 for d in nets.degrees(row))
+
+    def raised(part: Net) -> Net | None:
+        return nets.raised(part, du, dv) if nets.size(part) else None
+
+    bends = _plain_hessian(piece.w, extent)
+    own = [raised(part) for part in _plain_hessian(row, extent)]
+    followed = [raised(nets.bilinear_times(corners, part)) if nets.size(part) else None for part in bends]
+    error = _ROUNDING * screen.eps
+    w = nets.raised(piece.w, du, dv)
+    inverse = nets.each(lambda c: 1.0 / larger(c - error * screen.w_size, jnp.broadcast_to(screen.floor, c.shape)), w)
+    ones = jnp.ones_like(size)
+    whole = _measured(measure, ones, (own[0], own[1], own[2]), (followed[0], followed[1], followed[2]), inverse)
+    zero = [None if part is None else nets.each(jnp.zeros_like, part) for part in own]
+    depth = [raised(part) for part in bends]
+    rest = _measured(measure, ones, (zero[0], zero[1], zero[2]), (depth[0], depth[1], depth[2]), inverse)
+    apart = nets.each(
+        lambda x, y, i: (jnp.abs(x - y) + error * size) * i,
+        nets.raised(row, du, dv),
+        nets.bilinear_times(corners, piece.w),
+        inverse,
+    )
+    return nets.top(whole, smooth) + nets.top(apart, smooth) * nets.top(rest, smooth)
+
+
+def _last_visible(screen: Screen, piece: Piece, bends: list[Lanes]) -> Lanes:
+    """n^2 beyond which no triangle of a tile is visible; infinite if there is none.
+
+    A drawn point differs from the exact one by at most bend/(8 n^2) in every row, so it is outside of a plane that all
+    coefficients of the tile are further outside of.
+    """
+    error = _ROUNDING * screen.eps
+    *row_bends, w_bend = bends
+    planes = [(screen.floor - error * screen.w_size - nets.top(piece.w), w_bend)]
+    for net, half, size, bend in zip(piece.rows[:2], screen.half[:2], screen.sizes[:2], row_bends, strict=True):
+        planes += [(-reach - error * size, bend + half * w_bend) for reach in _reaches(net, piece.w, half)]
+    last = jnp.full_like(screen.w_size, jnp.inf)
+    for outside, bend in planes:
+        away = outside > 0
+        square = bend / (8.0 * jax.lax.select(away, outside, jnp.ones_like(outside)))
+        last = smaller(last, jax.lax.select(away, square, jnp.full_like(square, jnp.inf)))
+    return last
+
+
+def _reaches(net: Net, w: Net, half: Any) -> tuple[Lanes, Lanes]:
+    """How far inside of the planes -half and +half the innermost coefficients are; negative if outside."""
+    return nets.top(nets.each(lambda a, b: half * b + a, net, w)), nets.top(
+        nets.each(lambda a, b: half * b - a, net, w)
+    )
+
+
+def _largest_sum(net: Net, extent: Extent, smooth: Any) -> Lanes:
+    """At least the largest |uu| + 2 |uv| + |vv|, each over its own coefficients."""
+    parts = _plain_hessian(net, extent)
+    tops = [nets.top(nets.each(jnp.abs, part), smooth) if nets.size(part) else None for part in parts]
+    return _sum_of((tops[0], tops[1], tops[2]))
+
+
+def _largest_at(ends: tuple[Lanes, Lanes], own: Net, depth: Net, smooth: Any) -> Lanes:
+    """The largest size of coefficients of own - s depth at both ends of an interval for s."""
+    return largest(
+        [nets.top(nets.each(lambda x, y, s=s: jnp.abs(x - s * y), own, depth), smooth) for s in ends], smooth
+    )
+
+
+def _measured(measure: Callable[..., Lanes], s: Lanes, own: Hessian, depth: Hessian, inverse: Net) -> Net:
+    """The measure of the Hessian of g_s over W, coefficient by coefficient."""
+    there = [x is not None for x in own]
+
+    def at(i: Lanes, *values: Lanes) -> Lanes:
+        pairs = zip(values[::2], values[1::2], strict=True)
+        hessian = [None if not given else (lambda x, y: x - s * y)(*next(pairs)) for given in there]
+        return measure(*hessian) * i
+
+    return nets.each(at, inverse, *(x for pair in zip(own, depth, strict=True) for x in pair if x is not None))
+
+
+def _of_half_cell(a: Any, b: Lanes, c: Any, evenness: Any = 1.0, smooth: Any = None) -> Lanes:
+    """8 times the largest error that a quadratic with this Hessian has on one of the triangles of a unit cell.
+
+    Or of a cell with sides between the evenness and 1: a narrower one has larger errors if a and c cancel less.
+    """
+    if a is None or c is None:
+        return _sum_of((a, b, c), smooth)
+    if smooth is not None:
+        size_a, twist, size_c, together = sizes([a, b + b, c, a + c], smooth)
+        return largest([together + twist, size_a, size_c], smooth)
+    most, together = larger(jnp.abs(a), jnp.abs(c)), jnp.abs(a + c)
+    if not (isinstance(evenness, float) and evenness == 1.0):
+        together = larger(together, most - evenness * evenness * smaller(jnp.abs(a), jnp.abs(c)))
+    return larger(together + jnp.abs(b + b), most)
+
+
+def _of_any_triangle(a: Any, b: Lanes, c: Any) -> Lanes:
+    """The same, or a little more, for any triangle in the cell: largest |a x^2 + 2 b x y + c y^2|, |x|, |y| <= 1."""
+    if a is None or c is None:
+        return _sum_of((a, b, c))
+    b = jnp.abs(b)
+    zero, p, q = jnp.zeros_like(b), jnp.abs(a), jnp.abs(c)
+    saddle = b + larger(p + larger(b - q, zero), q + larger(b - p, zero))
+    return jax.lax.select((a > 0) == (c > 0), p + q + 2.0 * b, saddle)
+
+
+def _sum_of(hessian: tuple[Any, Lanes, Any], smooth: Any = None) -> Lanes:
+    a, b, c = hessian
+    parts = [b + b, *(x for x in (a, c) if x is not None)]
+    return nets.total([jnp.abs(x) for x in parts] if smooth is None else sizes(parts, smooth))
+
+
+def _plain_hessian(net: Net, extent: Extent) -> list[Net]:
+    """uu, uv, vv times the extents, each of its own degree; without coefficients if it is identically 0."""
+    parts = []
+    for i, j in ((2, 0), (1, 1), (0, 2)):
+        part, scale = nets.derivative(net, i, j), extent[0] ** i * extent[1] ** j
+        plain = isinstance(scale, float) and scale == 1.0
+        parts.append(part if plain or not nets.size(part) else nets.each(lambda c, k=scale: c * k, part))
+    return parts
+
+
+def _hessian(net: Net, extent: Extent) -> Hessian:
+    """(uu, uv, vv) times the extents, coefficients of the net's own degrees; None for one that is identically 0."""
+    uu, uv, vv = (nets.raised(x, *nets.degrees(net)) if nets.size(x) else None for x in _plain_hessian(net, extent))
+    return uu, uv, vv
+
+
+def _image(row: list, *point: Lanes) -> Lanes:
+    """A row of the projection applied to a control point."""
+    affine = [row[3]] if len(point) == 3 else []
+    return nets.total([m * x for m, x in zip(row, point, strict=False)] + affine)
+
+
+def _clip(value: Lanes, limit: Lanes) -> Lanes:
+    return larger(smaller(value, limit), -limit)

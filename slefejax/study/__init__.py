@@ -1,0 +1,1 @@
+"""What is made of predictions and measurements: constants, budgets, sensitivities, fewer triangles."""
