@@ -67,7 +67,8 @@ def check_positive(name: str, value: Number) -> None:
     if isinstance(value, Tracer):
         return
     try:
-        fine = np.ndim(value) == 0 and bool(np.isfinite(value)) and bool(np.asarray(value) > 0)
+        number = np.asarray(value) if isinstance(value, jax.Array) else value  # in jit JAX would trace what it compares
+        fine = np.ndim(number) == 0 and bool(np.isfinite(number)) and bool(number > 0)
     except (TypeError, ValueError):
         fine = False
     if not fine:
