@@ -10,57 +10,21 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
+from slefejax.experiments.architecture import BESIDE, LADDER, arrows, direct, files_of, imported_parts
+from slefejax.figures.architecture import described
 from slefejax.late import APP
 
 ROOT = Path(__file__).resolve().parents[1]
 
-# Folders and single modules of slefejax: each may import itself, and those of the rows above it.
-LADDER = [
-    {"errors", "late"},
-    {"arguments"},
-    {"lanes"},
-    {"geometry"},
-    {"bounds", "tessellator", "model"},
-    {"conversion", "framing"},
-    {"io"},
-    {"data"},
-    {"scene"},
-    {"predict", "measure"},
-    {"cameras", "session", "testing"},
-    {"study"},
-]
 ANALYSIS = set().union(*LADDER)
-BESIDE = {"gpu", "experiments", "figures"}  # links, which a search by name does not enter
 MOST_MODULES = 12  # of a folder
 
 
 def modules() -> dict[str, Path]:
     own = {p.relative_to(ROOT).with_suffix(""): p for p in (ROOT / "slefejax").rglob("*.py")}
     return {".".join(name.parts): path for name, path in own.items()}
-
-
-def imported_parts(path: Path) -> set[str]:
-    """First parts below slefejax of everything that a file imports ('' for the package itself)."""
-    parts = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        names = []
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}: relative import"
-            names = [node.module or ""]
-            if node.module == "slefejax":
-                names = [f"slefejax.{a.name}" if a.name in ANALYSIS | BESIDE else "slefejax" for a in node.names]
-        for name in names:
-            if name.split(".")[0] == "slefejax":
-                parts.add([*name.split("."), ""][1])
-    return parts
-
-
-def files_of(part: str) -> list[Path]:
-    folder = ROOT / "slefejax" / part
-    return sorted(folder.rglob("*.py")) if folder.is_dir() else [folder.with_suffix(".py")]
 
 
 @pytest.mark.parametrize("step", range(len(LADDER)))
@@ -73,7 +37,26 @@ def test_folders_import_themselves_and_what_stands_above(step):
 
 def test_every_module_has_its_place():
     parts = {name.split(".")[1] for name in modules() if "." in name} - {"__init__"}
-    assert parts | BESIDE == ANALYSIS | BESIDE | {"__main__"}
+    assert parts | {*BESIDE} == ANALYSIS | {*BESIDE, "__main__"}  # links, which the search may enter or not
+
+
+def test_prediction_and_measurement_do_not_know_each_other():
+    for one, other in (("predict", "measure"), ("measure", "predict"), ("gpu", "predict")):
+        assert not any(other in imported_parts(path) for path in files_of(one))
+
+
+def test_no_module_imports_relatively():
+    for path in modules().values():
+        assert not [n for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.ImportFrom) and n.level]
+
+
+def test_the_picture_of_the_house_is_what_the_source_says():
+    shown = direct(arrows())
+    with Image.open(ROOT / "docs" / "architecture.png") as picture:
+        assert picture.info["Description"] == described(shown)
+    assert ("session", "predict") in shown
+    assert ("predict", "lanes") in arrows()
+    assert ("predict", "lanes") not in shown, "it follows from others"
 
 
 def test_folders_are_small_enough_to_be_seen_at_once():
