@@ -89,7 +89,7 @@ class LoadOptions:
 
     scheme: str = "auto"
     """acc (quads), pinched (quads and triangles), bspline (regular meshes only), catmull-clark+acc (any polygons); auto
-    takes the first of acc, pinched, catmull-clark+acc that can do with the faces."""
+    takes the first of acc, pinched, catmull-clark+acc that can do with the faces. Or one's own: my_module:MyScheme."""
     alpha: float = ALPHA
     """Of triangles: the weight of a neighbour."""
     steps: int | None = None
@@ -126,7 +126,8 @@ class LoadOptions:
 
     def load(self, scene: str) -> Scene:
         """The scene of that name or file, with these options, in the pose that they ask for."""
-        found = load(scene, **self.arguments())
+        with own_modules():
+            found = load(scene, **self.arguments())
         if self.time is None and not self.keys:
             return found
         if found.rig is None:

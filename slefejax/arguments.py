@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from difflib import get_close_matches
+from importlib import import_module
 from typing import Any
 
 import jax
@@ -109,6 +110,15 @@ def did_you_mean(value: Any, choices: Iterable[str]) -> str:
     names = {name.lower(): name for name in choices}
     near = get_close_matches(str(value).lower(), list(names), 1)
     return f" (did you mean {names[near[0]]}?)" if near else ""
+
+
+def imported(name: str, what: str) -> Any:
+    """The value of ``module:name``. Raises InputError if there is none; ``what``: a method, a scheme."""
+    module, _, inside = name.partition(":")
+    try:
+        return getattr(import_module(module), inside)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise InputError(f"there is no {what} {name!r}: {error}") from None
 
 
 def real_numbers(values: Any, what: str) -> Float[np.ndarray, "*shape"]:

@@ -19,7 +19,7 @@ from slefejax.conversion.acc import ALPHA
 from slefejax.conversion.common import common_degree, common_weights
 from slefejax.conversion.nurbs import bezier_axis, spline_patches
 from slefejax.conversion.patchwork import KINDS
-from slefejax.conversion.scheme import Conversion, convert
+from slefejax.conversion.scheme import Conversion, Scheme, convert
 from slefejax.conversion.weld import places, weld_tolerance, welded
 from slefejax.data.small import (
     QUAD_EYE,
@@ -173,7 +173,7 @@ class Scene:
 
 def load(
     path: str | Path,
-    scheme: str = "auto",
+    scheme: Scheme | str = "auto",
     *,
     alpha: Number = ALPHA,
     steps: Number | None = None,
@@ -309,7 +309,7 @@ class _Part:
 def _scene(
     path: Path,
     content: Content,
-    scheme: str,
+    scheme: Scheme | str,
     alpha: float,
     steps: int | None,
     drop_defects: bool,
@@ -349,7 +349,7 @@ def _scene(
 
 
 def _converted(
-    mesh: Mesh, scheme: str, alpha: float, steps: int | None, drop_defects: bool
+    mesh: Mesh, scheme: Scheme | str, alpha: float, steps: int | None, drop_defects: bool
 ) -> tuple[Conversion, tuple[str, ...]]:
     notes: tuple[str, ...] = ()
     if drop_defects:
@@ -380,7 +380,7 @@ def _spline_part(spline: Spline, number: int) -> _Part:
     return _Part(list(work.on_host(flat)), work.faces, work.kinds)
 
 
-def _built_in(name: str, scheme: str, alpha: float, steps: int | None, copies: int, asked: list[str]) -> Scene:
+def _built_in(name: str, scheme: Scheme | str, alpha: float, steps: int | None, copies: int, asked: list[str]) -> Scene:
     made = BUILT_IN[name]()
     meaningless = [
         option for option in asked if isinstance(made, Scene) or option in ("group", "drop_defects", "animation")

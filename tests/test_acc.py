@@ -1,22 +1,26 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from slefejax import InputError
+from slefejax import InputError, load
 from slefejax.bounds.bspline import basis_pieces
-from slefejax.conversion.acc import acc_patches
+from slefejax.conversion.acc import ALPHA, acc_patches
 from slefejax.conversion.catmull_clark import refine
 from slefejax.conversion.patchwork import KINDS
-from slefejax.conversion.scheme import convert
+from slefejax.conversion.scheme import Acc, Subdivided, convert
 from slefejax.conversion.tangents import corner_tangents, tangent_tables
 from slefejax.geometry.bezier import evaluate_patch
 from slefejax.lanes import layout
 from slefejax.model.mesh import Mesh
 from tests.meshes import cube, disc, grid, mixed, triangle_fan
 from tests.test_catmull_clark import creased
+from tests.test_io import write
+from tests.test_scene import CUBE
 
 VALENCES = [*range(3, 13), 16, 24, 33, 64]
 
@@ -384,3 +388,54 @@ def test_gradients_go_through_the_conversion(rng):
         direction = rng.normal(size=vertices.shape)
         numeric = (number(vertices + 1e-5 * direction) - number(vertices - 1e-5 * direction)) / 2e-5
         np.testing.assert_allclose(np.sum(gradient * direction), numeric, rtol=1e-7)
+
+
+class Again:
+    """Approximate Catmull-Clark as a scheme of one's own."""
+
+    def patchwork(self, mesh):
+        return acc_patches(mesh, ALPHA)
+
+
+class Nothing:
+    def __init__(self, made):
+        self.made = made
+
+    def patchwork(self, mesh):
+        return self.made
+
+
+def test_a_scheme_of_ones_own(tmp_path, monkeypatch):
+    """Registered again, approximate Catmull-Clark is bit for bit what it was."""
+    path = write(tmp_path, "a.obj", CUBE)
+    wanted = load(path, scheme="acc")
+    (tmp_path / "my_schemes.py").write_text("from tests.test_acc import Again\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    for scheme in (Again(), "my_schemes:Again", Acc()):
+        found = load(path, scheme=scheme)
+        np.testing.assert_array_equal(found.patches(), wanted.patches())
+        np.testing.assert_array_equal(found.edge_numbers, wanted.edge_numbers)
+        assert found.conversion is not None
+        assert found.conversion.scheme == ("acc" if isinstance(scheme, Acc) else "Again")
+    finer = load(path, scheme="catmull-clark+acc", steps=2)
+    np.testing.assert_array_equal(load(path, scheme=Subdivided(steps=2)).patches(), finer.patches())
+    with pytest.raises(InputError, match="'Again' have no tangent patches"):
+        load(path, scheme=Again()).tangents()
+
+
+def test_schemes_that_are_none(tmp_path):
+    path = write(tmp_path, "a.obj", CUBE)
+    conversion = load(path).conversion
+    assert conversion is not None
+    work = acc_patches(conversion.mesh, ALPHA)
+    for scheme, says in (
+        (Nothing(3), "scheme 'Nothing' must make a slefejax Patchwork, not int"),
+        (Nothing(acc_patches(grid(3, 3), ALPHA)), "made a table for 9 vertices, and the mesh has 8"),
+        (Nothing(replace(work, net=work.net + 10**6)), "numbers of points that there are not"),
+        ("my_schemes:None", "there is no scheme 'my_schemes:None'"),
+        ("accc", r"no scheme 'accc' \(did you mean acc\?\)"),
+    ):
+        with pytest.raises(InputError, match=says):
+            load(path, scheme=scheme)
+    with pytest.raises(InputError, match=r"the scheme is a value with its numbers, .*: give steps to it"):
+        load(path, scheme=Acc(), steps=2)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Int
 
-from slefejax.arguments import check_choice, check_positive, is_whole
+from slefejax.arguments import check_choice, check_positive, imported, is_whole, no_such
 from slefejax.conversion.acc import ALPHA, acc_patches
 from slefejax.conversion.catmull_clark import refine
 from slefejax.conversion.patchwork import Patchwork
@@ -18,7 +19,6 @@ from slefejax.errors import InputError
 from slefejax.model.mesh import Mesh
 from slefejax.model.stencils import StencilTable
 
-SCHEMES = ("auto", "acc", "pinched", "bspline", "catmull-clark+acc")
 _MOST_STEPS = 8
 _MOST_PATCHES = 2_000_000  # of which the tables alone take a gigabyte
 
@@ -28,7 +28,7 @@ class Conversion:
     """A control mesh and how patches are made of it.
 
     mesh      : the control mesh as it was read
-    scheme    : one of SCHEMES, not ``"auto"``
+    scheme    : its name, not ``"auto"``
     finer     : the mesh that patches are made of: ``mesh``, or what subdivision made of it
     patchwork : from the vertices of ``mesh`` to patches; ``.faces`` are those of ``mesh``
     notes     : sentences on what the conversion leaves out, and on what it costs that nobody asked for
@@ -51,40 +51,171 @@ class Conversion:
 
         Bernstein coefficients of bi-degree (2, 3) and (3, 2); their cross product is a normal that agrees with the
         neighbour's along every smooth inner edge, except next to triangles, corners and vertices of valence 2
-        (``slefejax.conversion.tangents``).
+        (``slefejax.conversion.tangents``). Raises InputError for a scheme of one's own: its normals are those of its
+        patches.
         """
+        if self.scheme not in SCHEMES:
+            raise InputError(f"patches of the scheme {self.scheme!r} have no tangent patches, only their own normals")
         du, dv = self._tangents
         rest = np.shape(vertices)[1:]
         return du(vertices).reshape(-1, 3, 4, *rest), dv(vertices).reshape(-1, 4, 3, *rest)
 
 
-def convert(mesh: Mesh, scheme: str = "auto", alpha: Any = ALPHA, steps: Any = None) -> Conversion:
+@runtime_checkable
+class Scheme(Protocol):
+    """How a control mesh becomes patches: anything that has this method, a scheme of one's own too."""
+
+    def patchwork(self, mesh: Mesh, /) -> Patchwork:
+        """Tables from the mesh's vertices to the control points of patches, all of one bi-degree."""
+        ...
+
+
+class _WithPoints:
+    """Schemes of which one rule makes the points, after steps of subdivision or none."""
+
+    name: ClassVar[str]
+    alpha: Any
+
+    def patchwork(self, mesh: Mesh, /) -> Patchwork:
+        """As ``convert`` makes them."""
+        return self.refined(mesh)[1]
+
+    def refined(self, mesh: Mesh) -> tuple[Mesh, Patchwork]:
+        """The mesh that patches are made of, and the tables from the vertices of the one given."""
+        self.check(mesh)
+        return mesh, acc_patches(mesh, float(self.alpha))
+
+    def check(self, mesh: Mesh) -> None:
+        """InputError for numbers out of their range, and for faces that the scheme cannot do with."""
+        check_positive("alpha", self.alpha)
+        _check_faces(mesh, self.name)
+
+
+@dataclass(frozen=True)
+class Acc(_WithPoints):
+    """Approximate Catmull-Clark [LS08]: a bicubic patch a quad."""
+
+    name = "acc"
+    alpha: Any = ALPHA
+
+
+@dataclass(frozen=True)
+class Pinched(_WithPoints):
+    """The same, and pinched quads for triangles [Yeo12]; ``alpha``: the weight of a neighbour, positive."""
+
+    name = "pinched"
+    alpha: Any = ALPHA
+
+
+@dataclass(frozen=True)
+class BSpline(_WithPoints):
+    """Of regular meshes, where it is exact."""
+
+    name = "bspline"
+    alpha: Any = ALPHA
+
+
+@dataclass(frozen=True)
+class Subdivided(_WithPoints):
+    """Steps of Catmull-Clark subdivision first [CC78]: any faces; each step makes four times as many patches."""
+
+    name = "catmull-clark+acc"
+    alpha: Any = ALPHA
+    steps: Any = 1
+
+    def refined(self, mesh: Mesh) -> tuple[Mesh, Patchwork]:
+        """Subdivided, and the table of all steps."""
+        self.check(mesh)
+        finer, table, parents = mesh, None, np.arange(mesh.face_count)
+        for _ in range(self.steps):
+            finer, table, parents = _one_more(finer, table, parents)
+        return finer, replace(acc_patches(finer, float(self.alpha)), faces=parents, first=table)
+
+    def check(self, mesh: Mesh) -> None:
+        """InputError for so many steps that there would be too many patches, too."""
+        super().check(mesh)
+        _check_steps(self.steps)
+        made = len(mesh.corners) * 4 ** (self.steps - 1)
+        if made > _MOST_PATCHES:
+            raise InputError(f"{self.steps} steps would make {made:,} patches, more than {_MOST_PATCHES:,}: take fewer")
+
+
+_BY_NAME: dict[str, Callable[..., _WithPoints]] = {own.name: own for own in (Acc, Pinched, BSpline, Subdivided)}
+SCHEMES = ("auto", *_BY_NAME)
+
+
+def convert(mesh: Mesh, scheme: Scheme | str = "auto", alpha: Any = ALPHA, steps: Any = None) -> Conversion:
     """Patches of a manifold control mesh.
 
     scheme : ``"acc"`` for meshes of quads; ``"pinched"`` for quads and triangles; ``"bspline"``, only for regular
              meshes, where it is exact; ``"catmull-clark+acc"`` for any, by steps of subdivision first, each of which
              makes four times as many patches; ``"auto"``: pinched quads where there are triangles (none of them
-             quadruples all patches), subdivision only where there are faces of more than four vertices
+             quadruples all patches), subdivision only where there are faces of more than four vertices. Or a value:
+             ``slefejax.conversion.scheme.Acc()`` …, one's own (``Scheme``), or ``"my_module:MyScheme"``
     alpha  : of triangles: the weight of a neighbour, positive; [Yeo12] takes 2.5
     steps  : of ``"catmull-clark+acc"``: how many; 1 if not given
 
     Raises InputError for a scheme that the mesh does not allow, with the number of the face or vertex.
     """
-    _check(scheme, alpha, steps)
-    chosen = _automatic(mesh) if scheme == "auto" else scheme
-    if steps is not None and chosen != "catmull-clark+acc":
-        raise InputError(f"steps belong to the scheme 'catmull-clark+acc', not to {chosen!r}", options=("steps",))
-    _check_faces(mesh, chosen)
-    if chosen == "catmull-clark+acc" and len(mesh.corners) * 4 ** ((steps or 1) - 1) > _MOST_PATCHES:
-        made = len(mesh.corners) * 4 ** ((steps or 1) - 1)
-        raise InputError(f"{steps or 1} steps would make {made:,} patches, more than {_MOST_PATCHES:,}: take fewer")
-    finer, table, parents = mesh, None, np.arange(mesh.face_count)
-    for _ in range((steps or 1) if chosen == "catmull-clark+acc" else 0):
-        finer, table, parents = _one_more(finer, table, parents)
-    own = acc_patches(finer, float(alpha))
-    patchwork = replace(own, faces=parents, first=table)
-    notes = _price_of_ngons(mesh, steps) if scheme == "auto" else ()
-    return Conversion(mesh, chosen, finer, patchwork, notes + _left_out(finer, alpha))
+    given = scheme == "auto"
+    value = _value(mesh, scheme, alpha, steps)
+    if not isinstance(value, _WithPoints):
+        return Conversion(mesh, _name(value), mesh, _checked(value.patchwork(mesh), mesh, _name(value)), ())
+    finer, patchwork = value.refined(mesh)
+    notes = _price_of_ngons(mesh, steps) if given else ()
+    return Conversion(mesh, value.name, finer, patchwork, notes + _left_out(finer, value.alpha))
+
+
+def _value(mesh: Mesh, scheme: Any, alpha: Any, steps: Any) -> Any:
+    """The scheme as a value with its numbers."""
+    check_positive("alpha", alpha)
+    if steps is not None:
+        _check_steps(steps)
+    if isinstance(scheme, str) and ":" not in scheme:
+        check_choice("scheme", scheme, SCHEMES)
+        chosen = _automatic(mesh) if scheme == "auto" else scheme
+        if chosen == Subdivided.name:
+            return Subdivided(alpha, 1 if steps is None else steps)
+        if steps is not None:
+            said = f"steps belong to the scheme 'catmull-clark+acc', not to {chosen!r}"
+            raise InputError(said, options=("steps",))
+        return _BY_NAME[chosen](alpha)
+    value = imported(scheme, "scheme") if isinstance(scheme, str) else scheme
+    value = value() if isinstance(value, type) and isinstance(scheme, str) else value
+    if not isinstance(value, Scheme) or isinstance(value, type):
+        raise InputError(no_such("scheme", scheme, SCHEMES))
+    if steps is not None or alpha != ALPHA:
+        name = "alpha" if steps is None else "steps"
+        raise InputError(f"the scheme is a value with its numbers, {value!r}: give {name} to it", options=(name,))
+    return value
+
+
+def _check_steps(steps: Any) -> None:
+    if not (is_whole(steps, 1) and steps <= _MOST_STEPS):
+        raise InputError(f"steps must be a whole number from 1 to {_MOST_STEPS}, not {steps!r}", options=("steps",))
+
+
+def _name(scheme: Any) -> str:
+    return str(getattr(scheme, "name", type(scheme).__name__))
+
+
+def _checked(work: Any, mesh: Mesh, name: str) -> Patchwork:
+    """What a scheme of one's own made, or InputError if it is not of this mesh."""
+    if not isinstance(work, Patchwork):
+        raise InputError(f"scheme {name!r} must make a slefejax Patchwork, not {type(work).__name__}")
+    table = work.points if work.first is None else work.first
+    if table.columns != mesh.vertex_count:
+        raise InputError(
+            f"scheme {name!r} made a table for {table.columns} vertices, and the mesh has {mesh.vertex_count}"
+        )
+    if not len(work.net) == len(work.faces) == len(work.kinds) > 0:
+        raise InputError(
+            f"scheme {name!r} must make a face and a kind a patch, not {len(work.faces)} and {len(work.kinds)} for"
+            f" {len(work.net)} patches"
+        )
+    if work.net.min() < 0 or work.net.max() >= work.points.rows:
+        raise InputError(f"scheme {name!r} made a net with numbers of points that there are not")
+    return work
 
 
 def _one_more(
@@ -92,13 +223,6 @@ def _one_more(
 ) -> tuple[Mesh, StencilTable, Int[np.ndarray, "children"]]:
     finer, step, faces = refine(mesh)
     return finer, step if table is None else step @ table, parents[faces]
-
-
-def _check(scheme: str, alpha: Any, steps: Any) -> None:
-    check_choice("scheme", scheme, SCHEMES)
-    check_positive("alpha", alpha)
-    if steps is not None and not (is_whole(steps, 1) and steps <= _MOST_STEPS):
-        raise InputError(f"steps must be a whole number from 1 to {_MOST_STEPS}, not {steps!r}", options=("steps",))
 
 
 def _automatic(mesh: Mesh) -> str:

@@ -11,7 +11,6 @@ import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib import import_module
 from typing import Any, Literal, NamedTuple, TypedDict
 
 import jax.numpy as jnp
@@ -25,6 +24,7 @@ from slefejax.arguments import (
     check_positive,
     check_whole,
     did_you_mean,
+    imported,
     no_such,
     segment_pair,
 )
@@ -289,15 +289,6 @@ def _named(name: str) -> Any:
             raise InputError(no_such("method", name, METHODS))
         return METHODS[name]
     return imported(name, "method")
-
-
-def imported(name: str, what: str) -> Any:
-    """The value of ``module:name``. Raises InputError if there is none; ``what``: a method, a scheme."""
-    module, _, inside = name.partition(":")
-    try:
-        return getattr(import_module(module), inside)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise InputError(f"there is no {what} {name!r}: {error}") from None
 
 
 def _made(cls: type, name: str, given: dict[str, Any], unknown: list[str]) -> Any:
