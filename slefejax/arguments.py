@@ -63,6 +63,12 @@ def check_axis(axis: Any, rank: int) -> int:
     return int(axis)
 
 
+def check_concrete(what: str, *values: Any) -> None:
+    """InputError inside of jit, grad and the like; ``what``: the function that works on the host."""
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values)):
+        raise InputError(f"{what} measures on the host, in float64: call it outside of jit, grad and vmap")
+
+
 def check_positive(name: str, value: Number) -> None:
     """InputError unless the number is positive and finite."""
     if isinstance(value, Tracer):
@@ -134,6 +140,8 @@ def floating(values: Numbers) -> Any:
 
     Half precision becomes float32; anything else, whole numbers too, float64, on the host, whether JAX has that or not.
     """
+    if not isinstance(values, (jax.Array, np.ndarray)) and hasattr(values, "__jax_array__"):  # packed patches
+        values = values.__jax_array__()
     try:
         array = values if isinstance(values, (jax.Array, np.ndarray)) else np.asarray(values)
     except ValueError as error:

@@ -11,7 +11,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from slefejax import Camera, InputError, Session, View, load, pack, tessellation_factors, tolerance_for_budget
+from slefejax import (
+    Camera,
+    InputError,
+    Session,
+    View,
+    load,
+    minimal_factors,
+    pack,
+    pixel_error,
+    sampled_error,
+    slefe_boxes,
+    tessellation_factors,
+    tolerance_for_budget,
+    triangle_error,
+    triangulate,
+)
 from slefejax.predict import methods
 from slefejax.predict.kernel import Method, Tolerances
 from slefejax.predict.methods import METHODS, label_of, method_of
@@ -204,3 +219,21 @@ def test_packed_patches_are_patches(given, precision, teapot, main_view):
     close = 1e-11 if given == precision == np.float64 else 1e-2
     np.testing.assert_allclose(inside, tessellation_factors(patches, main_view).factor, rtol=close)
     np.testing.assert_array_equal(packed.patches(), patches)
+
+
+def test_what_measures_says_that_it_does_so_on_the_host(teapot, main_view):
+    patches, one = teapot.patches(), np.ones(32, int)
+    triangles = triangulate(patches, (np.ones((32, 2), int), np.ones((32, 4), int)))
+    nothing = np.zeros((2, 2)), np.zeros((2, 2)), np.full((2, 2), -1)
+    for name, measure in (
+        ("sampled_error", lambda p: sampled_error(p, one, main_view)),
+        ("pixel_error", lambda p: pixel_error(p, main_view, *nothing)),
+        ("minimal_factors", lambda p: minimal_factors(p, main_view)),
+        ("triangle_error", lambda p: triangle_error(p, triangles, main_view)),
+    ):
+        with pytest.raises(InputError, match=f"{name} measures on the host, in float64: call it outside of jit"):
+            jax.jit(measure)(patches)
+    packed = pack(patches)
+    np.testing.assert_array_equal(sampled_error(packed, one, main_view), sampled_error(patches, one, main_view))
+    np.testing.assert_array_equal(minimal_factors(packed, main_view), minimal_factors(patches, main_view))
+    np.testing.assert_array_equal(slefe_boxes(packed, 2).lower, slefe_boxes(patches, 2).lower)

@@ -66,6 +66,14 @@ class Packed:
         traced = isinstance(self.own, Tracer)
         return layout.unpack(self.own, self.count) if traced else layout.unpack_on_host(self.own, self.count)
 
+    def __jax_array__(self) -> Any:
+        """So that functions that take patches take these."""
+        return self.patches()
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        """The same for NumPy."""
+        return np.array(self.patches(), dtype, copy=copy)
+
     def placed(self, view: View) -> tuple[Any, Projection]:
         """Chunks near to an origin, or in a unit, in which their digits are held, and the projection for these."""
         unit = _unit(view, self.dtype)

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from slefejax.arguments import Patches, check_concrete, check_patches
 from slefejax.errors import InputError
 from slefejax.geometry.bezier import evaluate_patch
 from slefejax.geometry.view import View, homogeneous
@@ -22,7 +23,7 @@ SLIPPED = 1 / 16  # pixels
 
 
 def pixel_error(
-    patches: Float[np.ndarray, "patches nu nv dim"],
+    patches: Patches,
     view: View,
     u: Float[np.ndarray, "height width"],
     v: Float[np.ndarray, "height width"],
@@ -38,6 +39,8 @@ def pixel_error(
 
     Colours in the pictures of [YBP12]: grey up to 0.1 pixel, blue up to 0.5, green up to 1, red above.
     """
+    check_concrete("pixel_error", patches, view, u, v, patch, drawn)
+    patches = np.asarray(check_patches(patches))
     rows, columns = np.nonzero(patch >= 0)
     error = np.full(patch.shape, np.nan)
     if rows.size:
@@ -51,9 +54,7 @@ def pixel_error(
     return error
 
 
-def drawn_error(
-    patches: Float[np.ndarray, "patches nu nv dim"], view: View, seen: Any
-) -> Float[np.ndarray, "height width"]:
+def drawn_error(patches: Patches, view: View, seen: Any) -> Float[np.ndarray, "height width"]:
     """``pixel_error`` of what was drawn, and where: the error of its triangles, whatever the driver did beside it.
 
     seen : a ``slefejax.gpu.GBuffer``, or anything with ``.u``, ``.v`` and ``.patch``, and ``.drawn`` unless every pixel

@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Int
 
-from slefejax.arguments import Number, Patches, check_patches, check_positive, is_whole
+from slefejax.arguments import Number, Patches, check_concrete, check_patches, check_positive, is_whole
 from slefejax.errors import InputError
 from slefejax.geometry.view import View
 from slefejax.measure.supremum import Surface, in_batches, worst_points
@@ -54,6 +54,7 @@ def minimal_factors(
     >>> minimal_factors(parabola, View(camera, 300, 300), tolerance=2.1).tolist()         # 200 / (4 n^2) <= 2.1
     [5]
     """
+    check_concrete("minimal_factors", patches, view)
     patches = check_patches(patches)
     check_positive("tolerance", tolerance)
     if not is_whole(limit, 1) or limit > MOST_LEVEL:

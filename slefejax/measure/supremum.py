@@ -27,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from slefejax.arguments import Patches, check_patches, whole_numbers
+from slefejax.arguments import Patches, check_concrete, check_patches, whole_numbers
 from slefejax.errors import InputError
 from slefejax.geometry.bezier import bernstein, combine
 from slefejax.geometry.view import View, homogeneous
@@ -74,6 +74,7 @@ def sampled_error(patches: Patches, factors: Any, view: View) -> Float[np.ndarra
 
 def worst_points(patches: Patches, factors: Any, view: View) -> Supremum:
     """``sampled_error`` and the parameters of the maxima. Arguments and errors as there."""
+    check_concrete("sampled_error", patches, factors, view)
     patches = check_patches(patches)
     levels = level_pairs(factors, len(patches))
     surface = Surface.of(patches, view)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from slefejax.arguments import Patches, check_patches, real_numbers, whole_numbers
+from slefejax.arguments import Patches, check_concrete, check_patches, real_numbers, whole_numbers
 from slefejax.errors import InputError
 from slefejax.geometry.bezier import evaluate_patch
 from slefejax.geometry.view import View
@@ -46,6 +46,7 @@ def triangle_error(patches: Patches, triangles: Any, view: View) -> Float[np.nda
 
     Raises InputError for triangles of the wrong shape, or of patches that are not there.
     """
+    check_concrete("triangle_error", patches, view)
     return worst_triangle_points(patches, triangles, view).error
 
 
