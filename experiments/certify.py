@@ -151,8 +151,20 @@ def _measure(scene: Scene, view: View, options: Certify, run: Run, number: int) 
             }
         )
     renderer.release()
+    rows = _patch_rows(scene, factors, errors, minimal, options.tolerance)
+    return {"patches": rows, "summary": summary}
+
+
+def _patch_rows(
+    scene: Scene,
+    factors: dict[str, Factors],
+    errors: dict[str, tuple[np.ndarray, np.ndarray]],
+    minimal: np.ndarray,
+    tolerance: float,
+) -> list[Row]:
+    """``errors``: uniform and as drawn, by method."""
     certified, slefe = factors["certified"], factors["slefe"]
-    rows = [
+    return [
         {
             "scene": scene.name,
             "patch": k,
@@ -162,14 +174,13 @@ def _measure(scene: Scene, view: View, options: Certify, run: Run, number: int) 
             "minimal": int(minimal[k]),
             "sup_error_px": float(errors["certified"][0][k]),
             "drawn_sup_error_px": float(errors["certified"][1][k]),
-            "slack_px": options.tolerance - float(max(e[k] for e in errors["certified"])),
+            "slack_px": tolerance - float(max(e[k] for e in errors["certified"])),
             "slefe_factor": float(slefe.factor[k]),
             "slefe_sup_error_px": float(errors["slefe"][0][k]),
             "slefe_drawn_sup_error_px": float(errors["slefe"][1][k]),
         }
-        for k in range(len(patches))
+        for k in range(len(minimal))
     ]
-    return {"patches": rows, "summary": summary}
 
 
 def _sentences(summary: list[Row]) -> tuple[str, ...]:
