@@ -56,7 +56,7 @@ settings.register_profile(
 )
 settings.load_profile("seeded")
 
-_MUCH, _SOME = 1_000_000, 200_000  # kB; a test may add a few hundred thousand
+_MUCH, _SOME = 1_200_000, 250_000  # kB; a test may add a few hundred thousand
 MODELS = Path(__file__).resolve().parents[2] / "shared" / "models"
 
 

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-import os
 from typing import Any
 
 import numpy as np
@@ -107,7 +106,7 @@ def test_programs_are_kept_unless_that_is_not_wanted(tmp_path, monkeypatch, caps
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
     try:
         assert main(["doctor", "--no-cache", "--json"]) == 0
-        assert not os.listdir(tmp_path)
+        assert not (tmp_path / "slefejax").exists()  # Mesa may keep its own there
         assert not jax.config.values["jax_enable_compilation_cache"]
         assert main(["doctor", "--json"]) == 0
         assert jax.config.values["jax_compilation_cache_dir"].startswith(str(tmp_path / "slefejax"))

@@ -31,6 +31,8 @@ from slefejax.predict import methods
 from slefejax.predict.kernel import Method, Tolerances
 from slefejax.predict.methods import METHODS, label_of, method_of
 
+FAST = methods.Slefe(1)
+
 
 @dataclass(frozen=True)
 class EverySo:
@@ -84,7 +86,7 @@ def test_a_name_and_a_value_are_the_same(name, teapot, main_view):
         (methods.Certified(tiles=1), {"tiles": 1}),
         (methods.Slefe((2, 4), 0.8), {"segments": (2, 4), "k": 0.8}),
         (methods.EdgeLength(12.0), {"setting": 12.0}),
-        (methods.Certified(anisotropic=True), {"anisotropic": True, "tiles": None}),
+        (methods.Certified(1, anisotropic=True), {"anisotropic": True, "tiles": 1, "smooth": None}),
     ],
 )
 def test_numbers_of_a_value_are_those_by_name(value, knobs, teapot, main_view):
@@ -176,7 +178,7 @@ def test_views_are_plain_pytrees(teapot, main_view):
     both = jax.tree.map(lambda *numbers: jnp.stack([jnp.asarray(x) for x in numbers]), main_view, other)
 
     def total(view):
-        return jnp.sum(tessellation_factors(teapot.patches(), view, "slefe").factor)
+        return jnp.sum(tessellation_factors(teapot.patches(), view, FAST).factor)
 
     np.testing.assert_allclose(jax.vmap(total)(both), [total(main_view), total(other)], rtol=1e-12)
     assert jax.tree.leaves(jax.tree.map(lambda x: None, main_view)) == []
@@ -213,11 +215,11 @@ def test_packed_patches_are_patches(given, precision, teapot, main_view):
     packed = pack(patches)
     assert pack(packed) is packed
     assert len(packed) == 32
-    same(tessellation_factors(packed, main_view), tessellation_factors(patches, main_view))
-    inside = jax.jit(lambda own: tessellation_factors(own, main_view).factor)(packed)
+    same(tessellation_factors(packed, main_view, FAST), tessellation_factors(patches, main_view, FAST))
+    inside = jax.jit(lambda own: tessellation_factors(own, main_view, FAST).factor)(packed)
     # in jit the origin is the eye, and what more digits there are is lost
     close = 1e-11 if given == precision == np.float64 else 1e-2
-    np.testing.assert_allclose(inside, tessellation_factors(patches, main_view).factor, rtol=close)
+    np.testing.assert_allclose(inside, tessellation_factors(patches, main_view, FAST).factor, rtol=close)
     np.testing.assert_array_equal(packed.patches(), patches)
 
 
