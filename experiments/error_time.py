@@ -81,7 +81,7 @@ class ErrorTime:
         """The rules by name. Raises InputError for a name that there is not, or that stands there twice."""
         if len(set(self.methods)) < len(self.methods):
             raise InputError("--methods names a rule twice")
-        with own_modules():
+        with own_modules(*self.methods):
             return {name: METHODS.get(name) or _own(name) for name in self.methods or METHODS}
 
     def pictures(self) -> tuple[str, ...]:

@@ -126,7 +126,7 @@ class LoadOptions:
 
     def load(self, scene: str) -> Scene:
         """The scene of that name or file, with these options, in the pose that they ask for."""
-        with own_modules():
+        with own_modules(self.scheme):
             found = load(scene, **self.arguments())
         if self.time is None and not self.keys:
             return found
@@ -195,7 +195,7 @@ class PredictionOptions:
         """The method with its numbers. Raises InputError for those that it does not have."""
         own = {"tiles": self.tiles, "segments": self.segments, "k": self.k, "setting": self.setting}
         own |= {"smooth": self.smooth, "anisotropic": self.anisotropic or None, "verify": self.verify or None}
-        with own_modules():
+        with own_modules(self.method):
             return method_of(self.method, own)
 
     def arguments(self) -> Options:
@@ -217,10 +217,16 @@ def columns_of(method: Method) -> dict[str, Any]:
 
 
 @contextmanager
-def own_modules() -> Iterator[None]:
-    """Within, modules of the folder that a command is run in can be imported: console scripts do not look there."""
+def own_modules(*names: str) -> Iterator[None]:
+    """Within, names such as my_module:MyMethod are looked for in the folder that a command is run in, too.
+
+    Last, and only where there are such names: a file of the user's must not stand in for a package.
+    """
+    if not any(":" in name for name in names):
+        yield
+        return
     here = str(Path.cwd())
-    sys.path.insert(0, here)
+    sys.path.append(here)
     try:
         yield
     finally:

@@ -131,7 +131,8 @@ _BEFORE = {
     "rivals": "bounds.rivals",
     "skinning": "model.skinning",
 }
-sys.modules |= {f"{__name__}.{name}": import_module(f"{__name__}.{now}") for name, now in _BEFORE.items()}
+for _name, _now in _BEFORE.items():
+    globals()[_name] = sys.modules[f"{__name__}.{_name}"] = import_module(f"{__name__}.{_now}")
 
 if not TYPE_CHECKING:  # a checker that saw it would take every misspelt name for one that is there
 

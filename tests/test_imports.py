@@ -73,6 +73,12 @@ def test_no_function_has_the_name_of_its_module():
     assert not own & set(slefejax.__all__) - {"__init__"}
 
 
+@pytest.mark.parametrize("name", ["covering", "edges", "error", "rig", "rivals", "skinning"])
+def test_modules_that_were_named_before_they_stood_in_folders(name):
+    code = f"import slefejax; import slefejax.{name}; import slefejax.{name} as own; assert slefejax.{name} is own"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
 @pytest.mark.parametrize(
     ("part", "allowed"),
     [

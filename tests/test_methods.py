@@ -239,3 +239,17 @@ def test_what_measures_says_that_it_does_so_on_the_host(teapot, main_view):
     np.testing.assert_array_equal(sampled_error(packed, one, main_view), sampled_error(patches, one, main_view))
     np.testing.assert_array_equal(minimal_factors(packed, main_view), minimal_factors(patches, main_view))
     np.testing.assert_array_equal(slefe_boxes(packed, 2).lower, slefe_boxes(patches, 2).lower)
+
+
+def test_both_phases_have_derivatives(teapot, main_view):
+    """Boxes are relative to a place that the patches give, on which nothing depends."""
+    at = jnp.asarray(teapot.patches()[:3])
+
+    def prepared(points):
+        return jnp.sum(FAST.factor(FAST.prepare(points), main_view, Tolerances()))
+
+    def whole(points):
+        return jnp.sum(FAST.factor(points, main_view, Tolerances()))
+
+    wanted = jax.grad(whole)(at)
+    np.testing.assert_allclose(jax.grad(prepared)(at), wanted, rtol=1e-9, atol=1e-9 * float(jnp.abs(wanted).max()))

@@ -70,11 +70,15 @@ class Scheme(Protocol):
         ...
 
 
+@dataclass(frozen=True)
 class _WithPoints:
-    """Schemes of which one rule makes the points, after steps of subdivision or none."""
+    """Schemes of which one rule makes the points, after steps of subdivision or none.
+
+    alpha : of triangles: the weight of a neighbour, positive
+    """
 
     name: ClassVar[str]
-    alpha: Any
+    alpha: Any = ALPHA
 
     def patchwork(self, mesh: Mesh, /) -> Patchwork:
         """As ``convert`` makes them."""
@@ -91,28 +95,22 @@ class _WithPoints:
         _check_faces(mesh, self.name)
 
 
-@dataclass(frozen=True)
 class Acc(_WithPoints):
     """Approximate Catmull-Clark [LS08]: a bicubic patch a quad."""
 
     name = "acc"
-    alpha: Any = ALPHA
 
 
-@dataclass(frozen=True)
 class Pinched(_WithPoints):
-    """The same, and pinched quads for triangles [Yeo12]; ``alpha``: the weight of a neighbour, positive."""
+    """The same, and pinched quads for triangles [Yeo12]."""
 
     name = "pinched"
-    alpha: Any = ALPHA
 
 
-@dataclass(frozen=True)
 class BSpline(_WithPoints):
     """Of regular meshes, where it is exact."""
 
     name = "bspline"
-    alpha: Any = ALPHA
 
 
 @dataclass(frozen=True)
@@ -120,7 +118,6 @@ class Subdivided(_WithPoints):
     """Steps of Catmull-Clark subdivision first [CC78]: any faces; each step makes four times as many patches."""
 
     name = "catmull-clark+acc"
-    alpha: Any = ALPHA
     steps: Any = 1
 
     def refined(self, mesh: Mesh) -> tuple[Mesh, Patchwork]:
@@ -196,7 +193,9 @@ def _check_steps(steps: Any) -> None:
 
 
 def _name(scheme: Any) -> str:
-    return str(getattr(scheme, "name", type(scheme).__name__))
+    """Of a scheme of one's own; those of the package keep theirs."""
+    name = str(getattr(scheme, "name", type(scheme).__name__))
+    return type(scheme).__name__ if name in SCHEMES else name
 
 
 def _checked(work: Any, mesh: Mesh, name: str) -> Patchwork:

@@ -16,6 +16,7 @@ from typing import Any, Literal, NamedTuple, TypedDict
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jax.lax import stop_gradient
 
 from slefejax.arguments import (
     Number,
@@ -160,7 +161,7 @@ class Slefe(Kernel):
     def prepare(self, patches: Patches, /) -> Prepared:
         """Slefe boxes, as rounding leaves them, relative to a place near the patches."""
         packed = Prepared.of(patches).packed
-        first = packed.chunks[0, 0, 0, :, 0]
+        first = stop_gradient(packed.chunks[0, 0, 0, :, 0])  # boxes depend on no origin
         xp = jnp if isinstance(first, Tracer) else np
         first = first[:3] / (first[3] if packed.dimension == 4 else 1.0)
         digits, power = xp.frexp(xp.where(xp.isfinite(first), first, xp.zeros_like(first)))
