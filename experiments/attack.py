@@ -25,7 +25,7 @@ from slefejax.experiments.options import OutputOptions, check_count
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run
 from slefejax.figures.attack import write_attack_figure
-from slefejax.lanes.layout import cores
+from slefejax.lanes.passes import cores
 
 Batch = tuple[str, str, int]  # family, setting, seed
 

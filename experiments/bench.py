@@ -20,7 +20,7 @@ from slefejax.experiments.options import OutputOptions
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run
 from slefejax.figures.bench import FRAME, write_growth, write_shares
-from slefejax.lanes import layout
+from slefejax.lanes import passes
 
 COUNTS = (1000, 10_000, 141_000)
 _SECONDS = 1.5  # for the runs of one row
@@ -48,7 +48,7 @@ class Bench:
         machine = machine_record()
         with Run("bench", {**asdict(self), "output": None}, self.output.out, machine) as run, ExitStack() as stack:
             seconds = _SECONDS / 4 if self.quick else _SECONDS
-            workers = [stack.enter_context(Worker(cores, seconds)) for cores in dict.fromkeys((1, layout.cores()))]
+            workers = [stack.enter_context(Worker(cores, seconds)) for cores in dict.fromkeys((1, passes.cores()))]
 
             def measure(name: str) -> Row:
                 return {"rows": [row for own in workers for row in own.rows(*cells[name], own.cores == 1)]}
@@ -125,7 +125,7 @@ def machine_record() -> Row:
     device = the_device()
     return {
         "processor": name,
-        "cores": layout.cores(),
+        "cores": passes.cores(),
         "system": f"{platform.system()} {platform.machine()}",
         "python": sys.version.split()[0],
         "jax": jax.__version__,

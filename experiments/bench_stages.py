@@ -19,6 +19,7 @@ from slefejax.geometry.packed import Packed, pack
 from slefejax.geometry.projection import Projection
 from slefejax.gpu import Device, Renderer
 from slefejax.lanes import layout
+from slefejax.lanes.tuning import TUNING
 from slefejax.measure.error import pixel_error
 from slefejax.model.skinning import linear_blend
 from slefejax.predict.estimate import Boxes
@@ -201,7 +202,7 @@ def fused(at: Setting) -> Work:
         return peers.unrolled_factors(last, at.projection, TOLERANCE, SEGMENTS)
 
     def chunks() -> np.ndarray:
-        pieces = [np.ascontiguousarray(last[..., k : k + layout.LANES]) for k in range(0, at.count, layout.LANES)]
+        pieces = [np.ascontiguousarray(last[..., k : k + TUNING.lanes]) for k in range(0, at.count, TUNING.lanes)]
         return np.concatenate([peers.unrolled_factors(x, at.projection, TOLERANCE, SEGMENTS) for x in pieces])
 
     own = {"NumPy": plain, "NumPy, unrolled": unrolled, "NumPy, unrolled, in chunks": chunks}

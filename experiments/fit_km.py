@@ -14,6 +14,7 @@ import tyro
 
 from slefejax import Camera, Scene, View, load, sampled_error, tessellation_factors
 from slefejax.bounds.slefe_tables import basis_coefficients
+from slefejax.bounds.widths import screen_twists, screen_widths
 from slefejax.cameras import cameras_around
 from slefejax.errors import InputError, naming
 from slefejax.experiments.options import (
@@ -27,7 +28,6 @@ from slefejax.experiments.options import (
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.figures.fit_km import write_fit_km
-from slefejax.predict.widths import screen_twists, screen_widths
 from slefejax.study.curves import curve_constant, curve_ratios
 from slefejax.study.fitting import ESTIMATORS, TEMPERATURE, Fit, bootstrap_km, cross_validated, fit_km, held_out
 from slefejax.study.samples import TWIST, Samples, measure_factors, slefe_term

@@ -20,7 +20,8 @@ from slefejax.experiments.store import Row, Run
 from slefejax.figures.stability import write_stability_figure
 from slefejax.geometry.bezier import evaluate_patch
 from slefejax.geometry.view import homogeneous
-from slefejax.measure.supremum import Surface, in_batches
+from slefejax.measure.supremum import in_batches
+from slefejax.measure.surface import Surface
 from slefejax.predict.methods import method_of
 
 PRECISIONS = {"single": np.float32, "double": np.float64}

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from slefejax.bounds.bspline import bspline_slefe, bspline_slefe_boxes
 from slefejax.bounds.slefe import Slefe, SlefeTable, slefe, slefe_boxes, slefe_table
 from slefejax.bounds.tiles import slefe_tiles
+from slefejax.bounds.widths import screen_twists, screen_widths
 from slefejax.cameras import cameras_around
 from slefejax.conversion.scheme import Conversion, convert
 from slefejax.errors import InputError, NoOpenGLError
@@ -31,7 +32,6 @@ from slefejax.model.rig import Pose
 from slefejax.model.skinning import dual_quaternion_blend, linear_blend
 from slefejax.predict import methods
 from slefejax.predict.factors import Factors, tessellation_factors
-from slefejax.predict.widths import screen_twists, screen_widths
 from slefejax.scene import Scene, load, save
 from slefejax.session import Session
 from slefejax.study.budget import Budget, distance_for_budget, real_triangles, tolerance_for_budget

@@ -40,6 +40,20 @@ def check_segments(segments: Any) -> int:
     return int(segments)
 
 
+def check_temperature(smooth: Any) -> None:
+    """InputError unless this is a temperature of soft maxima, or None."""
+    if smooth is None:
+        return
+    if isinstance(smooth, bool):
+        raise InputError("smooth is a temperature, such as 0.01, and not yes or no", options=("smooth",))
+    check_positive("smooth", smooth)
+    if not isinstance(smooth, Tracer) and float(smooth) > 1.0:
+        raise InputError(
+            f"smooth is a temperature of at most 1, not {smooth}: 0.01 or less is close to the maximum",
+            options=("smooth",),
+        )
+
+
 def check_whole(name: str, value: Any, lowest: int) -> None:
     """InputError unless the number is a whole one of at least ``lowest``."""
     if not is_whole(value, lowest):

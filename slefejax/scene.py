@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 
 from slefejax.arguments import Number, check_not_negative, did_you_mean
 from slefejax.conversion.acc import ALPHA
-from slefejax.conversion.common import common_degree, common_weights
+from slefejax.conversion.common import blocks_of, common_degree, common_weights, patches_of
 from slefejax.conversion.nurbs import bezier_axis, spline_patches
 from slefejax.conversion.patchwork import KINDS
 from slefejax.conversion.scheme import Conversion, Scheme, convert
@@ -299,9 +299,9 @@ def _names_beside(path: Path) -> list[str]:
 
 @dataclass(frozen=True)
 class _Part:
-    """Patches of one origin."""
+    """Patches of one origin, as blocks of one shape each."""
 
-    patches: list[np.ndarray]
+    blocks: list[np.ndarray]
     faces: np.ndarray
     kinds: np.ndarray
 
@@ -322,24 +322,24 @@ def _scene(
         notes += found
         work, mesh = conversion.patchwork, conversion.mesh
         rest = mesh.vertices if content.rig is None else content.rig.at_rest(mesh.vertices)
-        parts.append(_Part(list(work.on_host(rest)), mesh.numbers[work.faces], work.kinds))
+        parts.append(_Part([work.on_host(rest)], mesh.numbers[work.faces], work.kinds))
     parts += [_spline_part(spline, number) for number, spline in enumerate(content.splines)]
     if content.patches:
         count = len(content.patches)
-        parts.append(_Part(list(content.patches), np.arange(count), np.full(count, KINDS.index("bezier"))))
-    patches, found = common_weights([patch for part in parts for patch in part.patches])
-    largest = np.max(list({patch.shape for patch in patches}), axis=0).tolist()
-    check_numbers(path, "patches of one degree", len(patches) * prod(largest))
-    points = np.concatenate([patch.reshape(-1, patch.shape[2]) for patch in patches])
+        parts.append(_Part(blocks_of(content.patches), np.arange(count), np.full(count, KINDS.index("bezier"))))
+    blocks, found = common_weights([block for part in parts for block in part.blocks])
+    largest = np.max([block.shape[1:] for block in blocks], axis=0).tolist()
+    check_numbers(path, "patches of one degree", sum(len(block) for block in blocks) * prod(largest))
     with np.errstate(over="ignore"):  # of small weights
-        largest = max(np.abs(points).max(), np.abs(places(points)).max())
-    if not largest < LARGEST:
+        far = [max(np.abs(block).max(), np.abs(places(block)).max()) for block in blocks]
+    if not np.max(far) < LARGEST:
         raise InputError(f"{path} has coordinates of {LARGEST:g} and more: scale it down, or drop what is out there")
     alone = conversion if len(parts) == 1 else None
     if alone is None:
-        patches, said = welded(patches, weld_tolerance(patches, content.digits) if weld is None else weld)
-        found += said
-    control, said = common_degree(patches)
+        patches = patches_of(blocks)
+        same, said = welded(patches, weld_tolerance(patches, content.digits) if weld is None else weld)
+        blocks, found = blocks if same is patches else blocks_of(same), found + said
+    control, said = common_degree(blocks)
     found += said
     faces, kinds = (np.concatenate([getattr(part, name) for part in parts]) for name in ("faces", "kinds"))
     rig = content.rig if alone is not None else None
@@ -377,7 +377,7 @@ def _spline_part(spline: Spline, number: int) -> _Part:
         raise error.within(spline.name) from None
     work = spline_patches(spline.control, (axes[0], axes[1]), number)
     flat = spline.control.reshape(-1, spline.control.shape[2])
-    return _Part(list(work.on_host(flat)), work.faces, work.kinds)
+    return _Part([work.on_host(flat)], work.faces, work.kinds)
 
 
 def _built_in(name: str, scheme: Scheme | str, alpha: float, steps: int | None, copies: int, asked: list[str]) -> Scene:

@@ -177,8 +177,8 @@ class Session:
             return found
         seen = (chunks, None, None)
         if isinstance(method, Slefe):
-            found["slefe boxes"], boxes = jax.make_jaxpr(boxes_pass, static_argnums=2, return_shape=True)(
-                chunks, np.zeros(3, self._dtype), method.formula.segments, method.smooth
+            found["slefe boxes"], boxes = jax.make_jaxpr(boxes_pass, static_argnums=3, return_shape=True)(
+                chunks, np.zeros(3, self._dtype), method.maxima, method.formula.segments
             )
             seen = (chunks if chunks.shape[3] == 4 else None, *boxes)
         projection = Projection.of(view, self._dtype)

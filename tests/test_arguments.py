@@ -43,7 +43,7 @@ CALLS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "tessellation_factors": (
         sj.tessellation_factors,
         {"patches": PATCHES, "view": VIEW, "method": "slefe", "segments": 3, "tolerance": 0.5, "k": 1.0}
-        | {"depth_tolerance": 0.1, "smooth": 0.01},
+        | {"depth_tolerance": 0.1, "smooth": None},
     ),
     "certified": (
         sj.tessellation_factors,

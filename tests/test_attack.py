@@ -174,6 +174,7 @@ def test_an_offender_reproduces_by_itself(too_small, tmp_path):
     assert 0.5 < float(now.stdout.split()[-1]) <= 1.0
 
 
+@pytest.mark.slow
 def test_a_drawn_offender_reproduces_by_itself(short_rings, tmp_path):
     worst = attack("cylinder", "drawn", 1)["offenders"][0]
     then = run_script(tmp_path, {**worst, "setting": "drawn"}, "--claimed")

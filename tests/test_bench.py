@@ -13,7 +13,7 @@ from slefejax.experiments.bench import Bench, machine_record
 from slefejax.experiments.bench_process import Worker, on_cores
 from slefejax.experiments.bench_stages import STAGES, Setting
 from slefejax.experiments.cli import main
-from slefejax.lanes import layout
+from slefejax.lanes import passes
 from slefejax.measure.error import pixel_error
 
 
@@ -82,15 +82,15 @@ def test_bad_options(options, says):
 
 
 def test_cores_are_given_back():
-    before = layout.cores()
+    before = passes.cores()
     with on_cores(1):
-        assert layout.cores() == 1
-    assert layout.cores() == before
+        assert passes.cores() == 1
+    assert passes.cores() == before
 
 
 def test_the_machine_is_described():
     record: Any = machine_record()
-    assert record["cores"] == layout.cores()
+    assert record["cores"] == passes.cores()
     assert record["processor"]
 
 

@@ -282,11 +282,12 @@ def test_single_precision_is_safe_too(teapot, main_view):
 def check_gradients(points, eye, tiles):
     """Reverse mode against central differences, along random directions and by the camera's place."""
 
+    @jax.jit
     def total(points, eye):
         view = View(Camera.look_at(eye, (0.0, 0.0, 1.2)), 1440, 900)
         return tessellation_factors(points, view, tiles=tiles).factor.sum()
 
-    by_points, by_eye = jax.grad(total, argnums=(0, 1))(points, eye)
+    by_points, by_eye = jax.jit(jax.grad(total, argnums=(0, 1)))(points, eye)
     assert np.isfinite(by_points).all()
     rng = np.random.default_rng(5)
     for _ in range(3):

@@ -8,7 +8,7 @@ import pytest
 from slefejax import Camera, InputError, View, sampled_error, tessellation_factors
 from slefejax.geometry.projection import Projection
 from slefejax.predict.certificate import Certificate
-from slefejax.predict.verified import Nets, drawn_grids_hold, grids_hold
+from slefejax.predict.verified import Pictured, drawn_grids_hold, grids_hold
 from slefejax.tessellator.rings import direct3d11
 
 PATTERN = direct3d11()
@@ -113,7 +113,7 @@ def test_proofs_look_at_the_lines_that_are_drawn():
     level = 61
     a = 4 * 0.985 * (1 / PATTERN.cell[level]) ** 2
     view = flat_on(8000.0)
-    nets = Nets.of(quadratics([a, a * 1.03], 0.0, 0.0), Projection.of(view), (0.5, None))
+    nets = Pictured.of(quadratics([a, a * 1.03], 0.0, 0.0), Projection.of(view), (0.5, None))
     patch, levels = np.arange(2), np.full((2, 2), level)
     assert grids_hold(nets, patch, levels).tolist() == [True, True]
     assert grids_hold(nets, patch, levels, PATTERN.points).tolist() == [True, False]

@@ -10,70 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from slefejax import Camera, InputError, Session, View, load, slefe_table, tessellation_factors
+from slefejax import Camera, InputError, Session, View, load, tessellation_factors
 from slefejax.geometry.bezier import evaluate_patch
+from slefejax.predict import plainly
 from slefejax.predict.kernel import view_pass
 
 slefe_factors = partial(tessellation_factors, method="slefe")
-
-
-def bounds_by_loops(c, m):
-    """Slefe of one polynomial from the table, in plain loops ([YBP12], (2))."""
-    d = len(c) - 1
-    table = slefe_table(max(d, 2), m)
-    lower, upper = [], []
-    for b in range(m + 1):
-        low = high = (1 - b / m) * c[0] + b / m * c[-1]
-        for j in range(1, d):
-            bend = c[j - 1] - 2 * c[j] + c[j + 1]
-            for_upper, for_lower = (table.upper, table.lower) if bend > 0 else (table.lower, table.upper)
-            high += bend * for_upper[j - 1, b]
-            low += bend * for_lower[j - 1, b]
-        lower.append(low)
-        upper.append(high)
-    return np.array(lower), np.array(upper)
-
-
-def screen_by_hand(view, point):
-    """Pixels and window depth of a point: axes of the camera, similar triangles."""
-    camera = view.camera
-    forward = (camera.target - camera.eye) / np.linalg.norm(camera.target - camera.eye)
-    right = np.cross(forward, camera.up) / np.linalg.norm(np.cross(forward, camera.up))
-    away, near, far = point - camera.eye, camera.near, camera.far
-    depth = away @ forward
-    scale = view.height / 2 / np.tan(np.deg2rad(camera.extent / 2)) / depth
-    x, y = view.width / 2 + scale * (away @ right), view.height / 2 + scale * (away @ np.cross(right, forward))
-    return np.array([x, y, far / (far - near) * (1 - near / depth)])
-
-
-def factor_by_loops(patch, view, m, tolerance, k=1.0, depth_tolerance=None):
-    """One patch with everything in front of the camera, in plain loops: [YBP12], (6) to (10), the Q-test."""
-    n = m + 1
-    lower, upper = np.zeros((n, n, 3)), np.zeros((n, n, 3))
-    for c in range(3):
-        across = [bounds_by_loops(patch[i, :, c], m) for i in range(patch.shape[0])]
-        for j in range(n):
-            lower[:, j, c] = bounds_by_loops([low[j] for low, _ in across], m)[0]
-            upper[:, j, c] = bounds_by_loops([high[j] for _, high in across], m)[1]
-    rectangles = np.zeros((n, n, 2, 3))
-    for i, j in product(range(n), range(n)):
-        corners = []
-        for picks in product((lower, upper), repeat=3):
-            corners.append(screen_by_hand(view, np.array([picks[c][i, j, c] for c in range(3)])))
-        rectangles[i, j] = np.min(corners, axis=0), np.max(corners, axis=0)
-    counted = set()
-    for i, j in product(range(m), range(m)):
-        tile = rectangles[i : i + 2, j : j + 2].reshape(4, 2, 3)
-        low, high = tile[:, 0].min(axis=0), tile[:, 1].max(axis=0)
-        if np.all(high >= 0) and np.all(low <= [view.width, view.height, 1.0]):
-            counted |= {(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)}
-    if not counted:
-        return 0.0
-    extent = np.array([rectangles[c][1] - rectangles[c][0] for c in counted])
-    demand = extent[:, :2].max() / tolerance
-    if depth_tolerance is not None:
-        demand = max(demand, extent[:, 2].max() / depth_tolerance)
-    return max(1.0, k * m * np.sqrt(demand))
 
 
 def rounding(precision):
@@ -86,7 +28,7 @@ def test_against_plain_loops_on_the_teapot(teapot, main_view, m, precision):
     patches = teapot.patches().astype(precision)
     factor = slefe_factors(patches, main_view, segments=m, tolerance=0.7, k=1.2).factor
     assert factor.dtype == precision
-    wanted = [factor_by_loops(patch.astype(float), main_view, m, 0.7, 1.2) for patch in patches]
+    wanted = [plainly.slefe_factor(patch.astype(float), main_view, m, 0.7, 1.2) for patch in patches]
     np.testing.assert_allclose(factor, wanted, rtol=rounding(precision))
 
 
@@ -103,7 +45,7 @@ def test_against_plain_loops_at_the_border_of_the_screen(degrees, rng, precision
     patches[..., 1] = np.maximum(patches[..., 1], -3.0)
     factor = np.asarray(slefe_factors(patches.astype(precision), view, depth_tolerance=1e-3).factor)
     assert factor.dtype == precision
-    wanted = [factor_by_loops(patch, view, 3, 0.5, depth_tolerance=1e-3) for patch in patches]
+    wanted = [plainly.slefe_factor(patch, view, 3, 0.5, depth_tolerance=1e-3) for patch in patches]
     np.testing.assert_allclose(factor, wanted, rtol=rounding(precision))
     assert 0 < np.count_nonzero(factor) < 60
 
@@ -208,7 +150,7 @@ def test_gradient_by_points_camera_tolerance_and_k(teapot, main_view, rng):
         return slefe_factors(points, view, segments=1, tolerance=tolerance, k=k).factor.sum()
 
     at: tuple[Any, ...] = (jnp.asarray(patches), jnp.array([4.5, -6.0, 4.0]), jnp.asarray(0.5), jnp.asarray(1.1))
-    gradients = jax.grad(total, argnums=(0, 1, 2, 3))(*at)
+    gradients = jax.jit(jax.grad(total, argnums=(0, 1, 2, 3)))(*at)
     for n, gradient in enumerate(gradients):
         direction = rng.normal(size=np.shape(at[n]))
         h = 1e-6
@@ -309,9 +251,9 @@ def test_rational_widths_by_loops(rng, precision):
         point = evaluate_patch(screen, i / 3, j / 3)
         for c in (0, 1):
             g = screen[..., c] - point[c] / point[3] * screen[..., 3]
-            across = [bounds_by_loops(row, 3) for row in g]
-            low = bounds_by_loops([low[j] for low, _ in across], 3)[0][i]
-            high = bounds_by_loops([high[j] for _, high in across], 3)[1][i]
+            across = [plainly.bounds(row, 3) for row in g]
+            low = plainly.bounds(np.array([low[j] for low, _ in across]), 3)[0][i]
+            high = plainly.bounds(np.array([high[j] for _, high in across]), 3)[1][i]
             widths.append((high - low) / point[3])
     assert found.dtype == precision
     assert float(found[0]) == pytest.approx(3 * np.sqrt(max(widths) / 0.5), rel=rounding(precision))

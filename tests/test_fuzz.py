@@ -52,6 +52,7 @@ def test_cases_can_be_made_again(reader):
         assert (one["outcome"], one["said"]) == (other["outcome"], other["said"])
 
 
+@pytest.mark.slow
 def test_a_reader_that_dies_is_noticed(reader):
     """The harness itself: a process that ends, and one that never answers."""
     reader.close()

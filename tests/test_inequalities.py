@@ -9,18 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from slefejax.bounds.triangles import _CUBIC, AnyTriangle, HalfCells
 from slefejax.geometry.bezier import evaluate_patch
 from slefejax.geometry.projection import Projection
-from slefejax.lanes import layout, nets
-from slefejax.predict.certified import (
-    _CUBIC,
-    _ROUNDING,
-    Piece,
-    Screen,
-    _of_any_triangle,
-    _of_half_cell,
-    certified_factor,
-)
+from slefejax.lanes import layout, loops, nets
+from slefejax.predict.certified import _ROUNDING, Piece, Screen, certified_factor
 from slefejax.tessellator.direct3d11 import rings
 from slefejax.tessellator.levels import GRID, HIGHEST_LEVEL, shares
 from slefejax.tessellator.rings import direct3d11
@@ -43,7 +36,7 @@ def test_second_moments_of_half_a_cell():
     big_p, big_q, big_b = p * (1 - p), q * (1 - q), q * (1 - p)
     for sign in (1, -1):  # the other diagonal
         left = np.abs(a * big_p + 2 * sign * b * big_b + c * big_q)
-        sigma = np.asarray(_of_half_cell(*HESSIANS))
+        sigma = np.asarray(HalfCells().bend(*HESSIANS))
         assert np.all(left <= sigma[:, None] * np.maximum(big_p, big_q) * (1 + 1e-12))
     both = [np.abs(a * big_p + 2 * s * b * big_b + c * big_q).max(axis=1) for s in (1, -1)]
     np.testing.assert_allclose(np.maximum(*both) * 4, sigma, rtol=2e-3)
@@ -53,10 +46,10 @@ def test_cells_that_are_narrower_one_way():
     """The measure for uneven cells is at least that of all of them."""
     a, b, c = HESSIANS
     for evenness in (0.0, 0.5, 0.98):
-        bound = np.asarray(_of_half_cell(a, b, c, evenness))
+        bound = np.asarray(HalfCells(evenness=evenness).bend(a, b, c))
         for s in np.linspace(evenness, 1, 9):
             for t in np.linspace(evenness, 1, 9):
-                assert np.all(_of_half_cell(a * s * s, b * s * t, c * t * t) <= bound * (1 + 1e-12))
+                assert np.all(HalfCells().bend(a * s * s, b * s * t, c * t * t) <= bound * (1 + 1e-12))
 
 
 def test_any_triangle_in_a_box():
@@ -64,11 +57,11 @@ def test_any_triangle_in_a_box():
     x, z = np.meshgrid(np.linspace(-1, 1, 201), np.linspace(-1, 1, 201))
     a, b, c = HESSIANS
     largest = np.array([np.abs(i * x * x + 2 * j * x * z + k * z * z).max() for i, j, k in HESSIANS.T])
-    ratio = np.asarray(_of_any_triangle(a, b, c)) / largest
+    ratio = np.asarray(AnyTriangle().bend(a, b, c)) / largest
     assert ratio.min() >= 1 - 1e-12
     assert ratio.max() <= 1.25 + 1e-3
-    half = np.asarray(_of_half_cell(a, b, c))
-    assert np.all(half <= np.asarray(_of_any_triangle(a, b, c)) * (1 + 1e-12))
+    half = np.asarray(HalfCells().bend(a, b, c))
+    assert np.all(half <= np.asarray(AnyTriangle().bend(a, b, c)) * (1 + 1e-12))
 
 
 def test_moments_of_triangles_in_a_box(rng):
@@ -108,7 +101,7 @@ def test_third_order_of_half_a_cell(rng, least):
         along_u = abs(value(0.0, 0.0, 3, 0)) + 3 * abs(value(0.0, 0.0, 2, 1))
         along_v = abs(value(0.0, 0.0, 0, 3)) + 3 * abs(value(0.0, 0.0, 1, 2))
         more, less = max(along_u, along_v), min(along_u, along_v)
-        second = np.asarray(_of_half_cell(value(u, v, 2, 0), value(u, v, 1, 1), value(u, v, 0, 2)))
+        second = np.asarray(HalfCells().bend(value(u, v, 2, 0), value(u, v, 1, 1), value(u, v, 0, 2)))
         bound = np.maximum(second, more / least) / (8 * n**2) + (_CUBIC * more + less / 288) / n**3
         assert np.all(error <= bound * (1 + 1e-9) + 1e-15)
 
@@ -116,9 +109,9 @@ def test_third_order_of_half_a_cell(rng, least):
 def test_bilinear_products(rng):
     """Coefficients of the product, in both forms of nets, against values."""
     net, corners = rng.normal(size=(3, 4, 7)), rng.normal(size=(2, 2, 7))
-    lists = [[jnp.asarray(c) for c in row] for row in net]
+    lists = nets.objects([[jnp.asarray(c) for c in row] for row in net])
     product = np.asarray(nets.bilinear_times(corners, jnp.asarray(net)))
-    np.testing.assert_allclose(np.array(nets.bilinear_times(corners, lists)), product, rtol=1e-12)
+    np.testing.assert_allclose(nets.stacked(nets.bilinear_times(corners, lists)), product, rtol=1e-12)
     for u, v in rng.uniform(size=(5, 2)):
         place = partial(evaluate_patch, u=np.array([u]), v=np.array([v]))
         for lane in range(7):
@@ -127,23 +120,18 @@ def test_bilinear_products(rng):
 
 
 @pytest.mark.parametrize("seed", [11, pytest.param(30, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("any_triangle", [False, True])
-def test_both_forms_of_nets_are_one_computation(seed, any_triangle):
+@pytest.mark.parametrize("triangles", [HalfCells((0.8, 1.25), 0.9), AnyTriangle((0.8, 1.25))])
+def test_both_forms_of_nets_are_one_computation(seed, triangles):
     hostile = case(seed, 64)
-    packed = jnp.asarray(layout.pack(hostile.patches))
-    projection = Projection.of(hostile.view)
+    packed, projection = jnp.asarray(layout.pack(hostile.patches)), Projection.of(hostile.view)
     found = []
     for unrolled in (True, False):
-        kernel = partial(
-            certified_factor, tiles=2, any_triangle=any_triangle, unrolled=unrolled, extent=(0.8, 1.25), evenness=0.9
-        )
-        found.append(
-            jax.jit(
-                lambda p, kernel=kernel: layout.over_chunks(
-                    lambda x: kernel(projection.relative(x), projection, 0.5, 1e-3), p
-                )
-            )(packed)
-        )
+
+        def kernel(control, unrolled=unrolled):
+            near = projection.relative(control)
+            return certified_factor(near, projection, (0.5, 1e-3), triangles, tiles=2, unrolled=unrolled)
+
+        found.append(jax.jit(lambda p, kernel=kernel: loops.over_chunks(kernel, p))(packed))
     np.testing.assert_allclose(*found, rtol=1e-9)
 
 

@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from slefejax.lanes import layout
+from slefejax.lanes import layout, loops, passes
+from slefejax.lanes.tuning import TUNING
 
 
 @pytest.mark.parametrize("count", [1, 31, 32, 33, 1000, 1024, 1025, 5000, 12_345])
@@ -38,23 +41,23 @@ def test_kernel_sees_one_chunk_at_a_time():
         shapes.append(chunk.shape)
         return chunk[0] + offset
 
-    result = layout.unpack(layout.over_chunks(kernel, packed, 1.0), 2500)
-    assert set(shapes) == {(1, layout.LANES)}
+    result = layout.unpack(loops.over_chunks(kernel, packed, 1.0), 2500)
+    assert set(shapes) == {(1, TUNING.lanes)}
     assert np.array_equal(result, items[:, 0] + 1.0)
 
 
-@layout.as_pass(2)
+@passes.as_pass(2)
 def _scaled(chunks, factor, power):
     first, second = chunks
-    both = layout.over_chunks(lambda own: own[0] * factor**power, first)
-    return both, both if second is None else layout.over_chunks(lambda own: own[0] + own[1], (both, second))
+    both = loops.over_chunks(lambda own: own[0] * factor**power, first)
+    return both, both if second is None else loops.over_chunks(lambda own: own[0] + own[1], (both, second))
 
 
 @pytest.mark.parametrize("count", [5, 4096, 9000, 40_000])
 @pytest.mark.parametrize("cores", [1, 2, 3])
 def test_cores_change_nothing(count, cores, rng, monkeypatch):
     """Nor do parts, which a second pass takes as they are."""
-    monkeypatch.setattr(layout, "cores", lambda: cores)
+    monkeypatch.setattr(passes, "cores", lambda: cores)
     items = rng.normal(size=(count, 1))
     packed = layout.pack(items)
     first, same = _scaled((packed, None), 3.0, 2)
@@ -66,15 +69,15 @@ def test_cores_change_nothing(count, cores, rng, monkeypatch):
 
 
 def test_parts_are_shared(rng, monkeypatch):
-    monkeypatch.setattr(layout, "cores", lambda: 2)
+    monkeypatch.setattr(passes, "cores", lambda: 2)
     packed = layout.pack(rng.normal(size=(9000, 1)))
     found = _scaled((packed, None), 3.0, 2)[0]
     assert isinstance(found, layout.Parts)
-    assert [part.shape for part in found.each] == [(3, layout.LANES)] * 2
+    assert [part.shape for part in found.each] == [(3, TUNING.lanes)] * 2
 
 
 def test_every_thread_has_the_precision_of_the_caller(rng, monkeypatch):
-    monkeypatch.setattr(layout, "cores", lambda: 2)
+    monkeypatch.setattr(passes, "cores", lambda: 2)
     with jax.enable_x64(False):
         packed = layout.pack(rng.normal(size=(9000, 1)).astype(np.float32))
         found = _scaled((packed, None), 3.0, 2)[0]
@@ -94,9 +97,9 @@ def test_a_pass_inside_of_jit_and_grad(rng):
 def test_other_devices_take_chunks_side_by_side(rng, monkeypatch):
     packed = layout.pack(rng.normal(size=(9000, 2)))
     kernel = lambda own, offset: own[0] * own[1] + offset  # noqa: E731
-    wanted = layout.over_chunks(kernel, packed, 1.0)
+    wanted = loops.over_chunks(kernel, packed, 1.0)
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    np.testing.assert_allclose(layout.over_chunks(kernel, packed, 1.0), wanted, rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(loops.over_chunks(kernel, packed, 1.0), wanted, rtol=1e-13, atol=1e-13)
 
 
 @pytest.mark.parametrize("count", [0, 1, 129, 2048, 40_000])
@@ -107,20 +110,34 @@ def test_through_a_pass_in_blocks(rng, count):
 
 
 def test_any_numbers_of_items_are_a_few_programs(rng, monkeypatch):
-    monkeypatch.setattr(layout, "cores", lambda: 2)
-    own = layout.as_pass()(lambda chunks: 2.0 * chunks[:, 0])
+    monkeypatch.setattr(passes, "cores", lambda: 2)
+    own = passes.as_pass()(lambda chunks: 2.0 * chunks[:, 0])
     for count in rng.integers(1, 100_000, 60):
         items = rng.normal(size=(count, 2))
         np.testing.assert_array_equal(layout.through(own, items), 2.0 * items[:, 0])
     assert own.compiled() <= 5
 
 
+def test_compiler_options_that_are_not_known_are_left_out_with_one_warning(monkeypatch):
+    """Also of a program that another thread's failure has made known as unknown; other errors are errors."""
+    options = {"cpu": {"xla_no_such_thing": True, "xla_cpu_prefer_vector_width": 256}}
+    monkeypatch.setattr(passes, "TUNING", replace(TUNING, compiler_options=options))
+    monkeypatch.setattr(passes, "_unknown", set())
+    first, second = (passes.as_pass()(lambda own, k=k: k * own) for k in (2.0, 3.0))
+    with pytest.warns(UserWarning, match="does not know the compiler option xla_no_such_thing"):
+        np.testing.assert_array_equal(first(np.ones((1, 1, 32))), np.full((1, 1, 32), 2.0))
+    np.testing.assert_array_equal(second(np.ones((1, 1, 32))), np.full((1, 1, 32), 3.0))
+    assert passes._options() == {"xla_cpu_prefer_vector_width": 256}
+    monkeypatch.setattr(passes, "TUNING", replace(TUNING, compiler_options={"gpu": options["cpu"]}))
+    assert passes._options() == {}
+
+
 def test_programs_are_forgotten_before_there_are_too_many(monkeypatch):
     """Passes that have nothing to do with the one that compiles, too."""
-    other = layout.as_pass()(lambda own: own + 1.0)
-    one = layout.as_pass()(lambda own: 2.0 * own)
+    other = passes.as_pass()(lambda own: own + 1.0)
+    one = passes.as_pass()(lambda own: 2.0 * own)
     other(np.zeros((1, 1, 32)))
     assert other.compiled() == 1
-    monkeypatch.setattr(layout, "_MOST_MAPS", 0)
+    monkeypatch.setattr(passes, "TUNING", replace(TUNING, most_maps=0))
     np.testing.assert_array_equal(one(np.ones((1, 1, 32))), np.full((1, 1, 32), 2.0))
     assert (one.compiled(), other.compiled()) == (0, 0)

@@ -45,6 +45,7 @@ def test_the_number_itself(walker, posed):
     assert found.triangles == pytest.approx(count(walker, pose, view), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_bones_by_differences(walker, posed, rng):
     pose, view, found = posed
     turns, shifts = (rng.normal(size=found.turns.shape) for _ in range(2))
@@ -63,6 +64,7 @@ def test_bones_by_differences(walker, posed, rng):
         assert float(np.vdot(slopes, values)) == pytest.approx(slope, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_keys_tolerance_and_distance_by_differences(walker, posed, rng):
     pose, view, found = posed
     values = rng.normal(size=found.keys.shape)
@@ -75,6 +77,7 @@ def test_keys_tolerance_and_distance_by_differences(walker, posed, rng):
     assert found.distance == pytest.approx((ahead - behind) / (2 * H), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_vertices_by_differences(walker, posed, rng):
     pose, view, found = posed
     mesh = walker.conversion.mesh
@@ -86,20 +89,19 @@ def test_vertices_by_differences(walker, posed, rng):
     assert float(np.vdot(found.points, values)) == pytest.approx((ahead - behind) / (2 * H), rel=1e-4)
 
 
-@pytest.mark.slow
 def test_points_of_patches_move_together(teapot, main_view, rng):
     # symmetric control nets tie: shaken, with equal points still equal
     flat = teapot.patches().reshape(-1, 3)
     _, first, number = np.unique(flat.round(9), axis=0, return_index=True, return_inverse=True)
     shaken = flat[first] + 0.01 * rng.normal(size=(len(first), 3))
     control = shaken[number].reshape(teapot.patches().shape)
-    found = sensitivity(replace(teapot, control=control), main_view, **FAST)
+    found = sensitivity(replace(teapot, control=control), main_view, method="filip")
     assert found.numbers is not None
     assert len(found.places) == len(first) == 290
     assert found.turns is found.shifts is found.keys is None
     values = rng.normal(size=found.points.shape)
     own = values[found.numbers]
-    ahead, behind = (float(real_triangles(control + s * own, main_view, **FAST)) for s in (H, -H))
+    ahead, behind = (float(real_triangles(control + s * own, main_view, method="filip")) for s in (H, -H))
     assert float(np.vdot(found.points, values)) == pytest.approx((ahead - behind) / (2 * H), rel=1e-4)
 
 

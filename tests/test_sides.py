@@ -81,7 +81,7 @@ def test_no_pixel_shows_the_far_side(device, scenes, tmp_path):
     """Through a closed surface nothing behind it is seen; levels keep the tolerance; unwelded there are holes."""
     from slefejax.gpu import Renderer
 
-    view = View(Camera.look_at(EYE, (0, 0, 0), fov_y=16.0), 1440, 900)
+    view = View(Camera.look_at(EYE, (0, 0, 0), fov_y=16.0), 720, 450)
     old = load(write(tmp_path, "mixed.bv", as_bv(cube_sphere(np.random.default_rng(5)))), weld=0)
     far = []
     for scene in (scenes["polynomial"], old):

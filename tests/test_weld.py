@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slefejax import InputError, load, save, tessellation_factors
-from slefejax.conversion.common import common_degree
+from slefejax.conversion.common import blocks_of, common_degree
 from slefejax.conversion.weld import welded
 from slefejax.geometry.bezier import elevate
 from slefejax.io.numbers import Numbers
@@ -41,7 +41,7 @@ def test_a_closed_surface_of_mixed_degrees_is_closed(raw, path):
     assert uses(scene) == [0, 0, 48]
     assert not coincident_sides(scene.patches(), scene.edge_numbers).any()
     assert "sides within 1.2e-06 of their neighbours' were welded" in scene.notes[0]
-    exact = common_degree(raw)[0]
+    exact = common_degree(blocks_of(raw))[0]
     # half a unit of the file's, and what a twin is away from it
     np.testing.assert_allclose(scene.patches(), exact, rtol=0, atol=5e-7 + 1.25e-6)
     assert (
@@ -86,7 +86,7 @@ def test_rational_patches_of_mixed_degrees(raw, tmp_path):
     assert "weights of 23 of 24 patches were multiplied by a factor" in scene.notes[0]
     assert "were welded" in scene.notes[1]
     where = scene.patches()[..., :3] / scene.patches()[..., 3:]
-    exact = common_degree(patches)[0]
+    exact = common_degree(blocks_of(patches))[0]
     # rounded to 5e-7 as w x and w, w above .3 and |x| below 1.6, and welded to what is as far off
     np.testing.assert_allclose(where, exact[..., :3] / exact[..., 3:], rtol=0, atol=2e-5)
 
@@ -143,7 +143,7 @@ def test_three_patches_of_three_degrees_on_one_curve(rng, way):
         patch[0] = elevate(curve, degree) + rng.uniform(-4e-7, 4e-7, (degree + 1, 3))
         given.append(SYMMETRIES[way](patch) if degree == 4 else patch)
     made, _ = welded(given, 1e-6)
-    numbers = shared_edges(common_degree(made)[0])
+    numbers = shared_edges(common_degree(blocks_of(made))[0])
     uses = np.bincount(numbers.ravel())
     assert sorted(uses.tolist()) == [1] * 9 + [3]
     # the one of the lowest degree has its points still, between corners that are the first patch's

@@ -12,6 +12,7 @@ precision (``outward``). The estimate of factors is no bound and does without.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -34,14 +35,14 @@ from slefejax.arguments import (
 from slefejax.bounds.slefe_tables import build_table
 from slefejax.errors import InputError
 from slefejax.geometry.bezier import second_differences
-from slefejax.lanes import layout
-from slefejax.lanes.maxima import blur, larger, sizes
+from slefejax.lanes import layout, loops, passes
+from slefejax.lanes.maxima import EXACT, Exact, Maxima
+from slefejax.lanes.tuning import TUNING
 
 HIGHEST_DEGREE = 64
-_UNROLLED = 32  # entries of a table
 # Bounds in v that are b wider, or less, have second differences in u that are up to 2 b larger or smaller; with twice
 # that added to their sizes the smooth bounds in u are nowhere narrower than exact ones of exact ones.
-SECOND = 4.0
+_SECOND = 4.0
 
 
 class SlefeTable(NamedTuple):
@@ -134,42 +135,47 @@ def slefe_boxes(patches: Patches, segments: Segments) -> Slefe:
     return Slefe(layout.unpack(lower, len(patches)), layout.unpack(upper, len(patches)))
 
 
-class Smooth(NamedTuple):
-    """How an enclosure is smooth: the sizes of second differences are smooth ones, which makes it that much wider.
+class Signs(NamedTuple):
+    """How second differences are parted by their signs: smoothly an enclosure is that much wider.
 
-    temperature : of ``slefejax.lanes.maxima``
-    alike       : axes of the second differences ``(b, *rest)`` whose numbers have one unit
-    wider       : what is added to the sizes besides
+    alike : axes of the second differences ``(b, *rest)`` whose numbers have one unit
+    wider : what is added to smooth sizes besides
     """
 
-    temperature: Any
+    maxima: Maxima = EXACT
     alike: tuple[int, ...] = ()
     wider: Any = 0.0
 
-    def positive_parts(self, differences: list[Any]) -> list[Any]:
-        """Smooth max(0, D_j), not smaller."""
-        smooth = sizes(differences, self.temperature, self.alike)
-        return [0.5 * (size + self.wider + d) for size, d in zip(smooth, differences, strict=True)]
+    def parted(self, differences: list[Any]) -> list[tuple[Any, Any]]:
+        """max(0, D_j), or a smooth one, which is not smaller, and what is left of D_j."""
+        # exact maxima do not propagate NaN: inputs are checked apart
+        positives = self.maxima.positive_parts(differences, self.alike, self.wider)
+        return [(positive, difference - positive) for difference, positive in zip(differences, positives, strict=True)]
 
-    def blur(self, coefficients: Float[Array, "n b *rest"], segments: int) -> Any:
-        """The most by which the bounds ``(m+1, *rest)`` are wider, with length 1 along axes that are alike."""
-        degree = coefficients.shape[0] - 1
-        if degree == 1:
-            return jnp.zeros((1, 1), coefficients.dtype)
-        tables = _as_dtype(slefe_table(degree, segments), coefficients.dtype)
-        column = (slice(None),) + (None,) * (coefficients.ndim - 2)
-        gaps = np.sum(tables.upper - tables.lower, axis=0)[column]
-        return 0.5 * gaps * blur(list(second_differences(coefficients)), self.temperature, self.alike)
+    def of_bounds(self, coefficients: Float[Array, "n b *rest"], segments: int, arrange: Callable[[Any], Any]) -> Signs:
+        """The same for bounds of the bounds of these coefficients.
+
+        arrange : from what those, ``(m+1, *rest)``, are wider by, to the second differences of the other direction
+        """
+        if isinstance(self.maxima, Exact) or coefficients.shape[0] == 2:
+            return self
+        table = _table_of(coefficients, segments)
+        gaps = np.sum(table.upper - table.lower, axis=0)[_column(coefficients)]
+        blur = self.maxima.blur(list(second_differences(coefficients)), self.alike)
+        return self._replace(wider=arrange(_SECOND * (0.5 * gaps * blur)))
 
 
-def enclose(coefficients: Float[Array, "n *rest"], segments: int, smooth: Smooth | None = None) -> tuple[Any, Any]:
+_PLAIN = Signs()
+
+
+def enclose(coefficients: Float[Array, "n *rest"], segments: int, signs: Signs = _PLAIN) -> tuple[Any, Any]:
     """Lower and upper breakpoint values along the first axis, for use inside kernels ([YBP12], (2))."""
     table = _table_of(coefficients, segments)
-    if smooth is not None or table.lower.size > _UNROLLED:
-        return enclose_at(coefficients[:, None], segments, smooth)
+    if not signs.maxima.exact or table.lower.size > TUNING.unrolled_entries:
+        return enclose_at(coefficients[:, None], segments, signs)
     # slices first and one breakpoint after the other: with sums of arrays the compiler's code takes three times as long
     slices = [coefficients[j] for j in range(coefficients.shape[0])]
-    signed = _signed([(a - b) + (c - b) for a, b, c in zip(slices, slices[1:], slices[2:], strict=False)], None)
+    signed = signs.parted([(a - b) + (c - b) for a, b, c in zip(slices, slices[1:], slices[2:], strict=False)])
     columns = zip(
         _breakpoints(coefficients, segments).tolist(), table.lower.T.tolist(), table.upper.T.tolist(), strict=True
     )
@@ -177,11 +183,10 @@ def enclose(coefficients: Float[Array, "n *rest"], segments: int, smooth: Smooth
     return jnp.stack([lower for lower, _ in bounds]), jnp.stack([upper for _, upper in bounds])
 
 
-def enclose_at(coefficients: Float[Array, "n b *rest"], segments: int, smooth: Smooth | None = None) -> tuple[Any, Any]:
+def enclose_at(coefficients: Float[Array, "n b *rest"], segments: int, signs: Signs = _PLAIN) -> tuple[Any, Any]:
     """Breakpoint values ``(m+1, *rest)``, breakpoint k from the coefficients ``[:, k]``; of b = 1 all from the same."""
-    column = (slice(None),) + (None,) * (coefficients.ndim - 2)
-    table = _table_of(coefficients, segments)
-    signed = _signed(list(second_differences(coefficients)) if len(table.lower) else [], smooth)
+    column, table = _column(coefficients), _table_of(coefficients, segments)
+    signed = signs.parted(list(second_differences(coefficients)) if len(table.lower) else [])
     numbers = (_breakpoints(coefficients, segments)[column], table.lower[:, *column], table.upper[:, *column])
     return _bounds((coefficients[0], coefficients[-1]), signed, *numbers)
 
@@ -194,16 +199,13 @@ def _table_of(coefficients: Any, segments: int) -> SlefeTable:
     return _as_dtype(slefe_table(degree, segments), coefficients.dtype)
 
 
+def _column(coefficients: Any) -> tuple[Any, ...]:
+    """Brings a row of numbers to the axes of values at breakpoints."""
+    return (slice(None),) + (None,) * (coefficients.ndim - 2)
+
+
 def _breakpoints(coefficients: Any, segments: int) -> np.ndarray:
     return (np.arange(segments + 1) / segments).astype(coefficients.dtype)
-
-
-def _signed(differences: list[Any], smooth: Smooth | None) -> list[tuple[Any, Any]]:
-    """max(0, D_j) and min(0, D_j), or smooth ones."""
-    # ``larger`` does not propagate NaN: inputs are checked apart
-    exact = (larger(difference, jnp.zeros_like(difference)) for difference in differences)
-    positives = exact if smooth is None or not differences else smooth.positive_parts(differences)
-    return [(positive, difference - positive) for difference, positive in zip(differences, positives, strict=True)]
 
 
 def _bounds(ends: tuple[Any, Any], signed: list[tuple[Any, Any]], t: Any, low: Any, up: Any) -> tuple[Any, Any]:
@@ -252,23 +254,20 @@ def rounding(coefficients: Float[Array, "n *rest"], times: float) -> Any:
 
 
 def enclose_patch(
-    control: Float[Array, "nu nv *rest"], segments: tuple[int, int], temperature: Any = None
+    control: Float[Array, "nu nv *rest"], segments: tuple[int, int], maxima: Maxima = EXACT
 ) -> tuple[Any, Any]:
     """Tensor-product enclosure ``(m_u+1, m_v+1, *rest)``: bounds in v, then lower of lower and upper of upper in u.
 
-    With a temperature a smooth one, nowhere narrower.
+    With soft maxima a smooth one, nowhere narrower.
     """
-    if temperature is None:
-        across, along = None, None
-    else:
-        # rows of the net, and coordinates but homogeneous ones, are alike
-        across = Smooth(temperature, (1, 2) if control.shape[2:3] == (3,) else (1,))
-        wider = SECOND * across.blur(jnp.swapaxes(control, 0, 1)[:, None], segments[1])
-        along = Smooth(temperature, across.alike, jnp.swapaxes(wider, 0, 1))
-    across_lower, across_upper = layout.once(enclose(jnp.swapaxes(control, 0, 1), segments[1], across))
+    # rows of the net, and coordinates but homogeneous ones, are alike
+    across = Signs(maxima, (1, 2) if control.shape[2:3] == (3,) else (1,))
+    by_v = jnp.swapaxes(control, 0, 1)
+    along = across.of_bounds(by_v[:, None], segments[1], lambda wider: jnp.swapaxes(wider, 0, 1))
+    across_lower, across_upper = loops.once(enclose(by_v, segments[1], across))
     lower, _ = enclose(jnp.swapaxes(across_lower, 0, 1), segments[0], along)
     _, upper = enclose(jnp.swapaxes(across_upper, 0, 1), segments[0], along)
-    return layout.once((lower, upper))
+    return loops.once((lower, upper))
 
 
 def box_at(control: Float[Array, "nu nv *rest lanes"], place: tuple[Any, Any], segments: tuple[int, int]) -> Any:
@@ -280,7 +279,7 @@ def box_at(control: Float[Array, "nu nv *rest lanes"], place: tuple[Any, Any], s
 def _enclose_there(coefficients: Float[Array, "n *rest lanes"], segments: int, breakpoint: Any) -> tuple[Any, Any]:
     """Lower and upper values ``(*rest, lanes)`` at one breakpoint a lane."""
     table = _table_of(coefficients, segments)
-    signed = _signed(list(second_differences(coefficients)) if len(table.lower) else [], None)
+    signed = _PLAIN.parted(list(second_differences(coefficients)) if len(table.lower) else [])
     numbers = [
         jnp.asarray(x)[..., breakpoint] for x in (_breakpoints(coefficients, segments), table.lower, table.upper)
     ]
@@ -317,6 +316,6 @@ def outward_patch(control: Float[Array, "nu nv *rest"], segments: tuple[int, int
     return lower[0], upper[1]
 
 
-@layout.as_pass(1)
+@passes.as_pass(1)
 def _outward_boxes(packed: Any, segments: tuple[int, int]) -> tuple[Any, Any]:
-    return layout.over_chunks(outward_patch, packed, segments)
+    return loops.over_chunks(outward_patch, packed, segments)

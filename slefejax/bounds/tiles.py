@@ -23,7 +23,7 @@ import numpy as np
 from slefejax.arguments import Patches, Segments, check_patches, check_weights, segment_pair
 from slefejax.bounds.slefe import Slefe, outward_patch
 from slefejax.geometry.bezier import evaluate_patch, restrict
-from slefejax.lanes import layout
+from slefejax.lanes import layout, loops, passes
 from slefejax.lanes.maxima import largest_along, smallest_along
 
 
@@ -48,9 +48,9 @@ def slefe_tiles(patches: Patches, segments: Segments) -> Slefe:
     return Slefe(layout.unpack(lower, len(patches)), layout.unpack(upper, len(patches)))
 
 
-@layout.as_pass(1)
+@passes.as_pass(1)
 def _tiles_pass(packed: Any, segments: tuple[int, int]) -> tuple[Any, Any]:
-    return layout.over_chunks(_tiles, packed, segments)
+    return loops.over_chunks(_tiles, packed, segments)
 
 
 def _tiles(control: Any, segments: tuple[int, int]) -> tuple[Any, Any]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -9,6 +11,7 @@ import numpy as np
 
 from slefejax.geometry.view import View
 from slefejax.lanes import nets
+from slefejax.lanes.nets import Lanes, Net
 
 
 class Projection(NamedTuple):
@@ -43,6 +46,32 @@ class Projection(NamedTuple):
         """World points relative to the origin (``relative``)."""
         return relative(points, self.origin, axis)
 
+    def undivided(self, control: Any) -> list[Any]:
+        """X, Y, Z, W ``(du+1, dv+1, lanes)`` of control points ``(du+1, dv+1, 3 or 4, lanes)`` near the origin."""
+        return undivided(self.to_pixels, nets.coordinates(control, unrolled=False))
+
+
+def undivided(rows: Any, points: list[Net]) -> list[Net]:
+    """Linear functions of points given by coordinates, three or four homogeneous ones: the rows of ``(r, 4)``."""
+    return [nets.each(partial(_image, row), *points) for row in numbers(rows)]
+
+
+def _image(row: list[Any], *point: Lanes) -> Lanes:
+    affine = [row[3]] if len(point) == 3 else []
+    return nets.total([m * x for m, x in zip(row, point, strict=False)] + affine)
+
+
+def numbers(matrix: Any) -> list[list[Any]]:
+    """The entries, each taken out once: where they are used again and again, that is a third of the program."""
+    return [[row[a] for a in range(4)] for row in matrix]
+
+
+def reaches(row: Net, w: Net, half: Any) -> tuple[Lanes, Lanes]:
+    """How far inside of the planes row/W = -half and +half the innermost coefficients are; negative if outside."""
+    return nets.top(nets.each(lambda x, y: half * y + x, row, w)), nets.top(
+        nets.each(lambda x, y: half * y - x, row, w)
+    )
+
 
 def relative(points: Any, origin: Any, axis: int = -2) -> Any:
     """Points, three or four homogeneous coordinates along an axis, relative to an origin."""
@@ -75,3 +104,13 @@ def positive(control: Any) -> Any:
     if control.shape[2] == 3:
         return True
     return jnp.all(control[:, :, 3] > 0, axis=(0, 1))
+
+
+def unless_bad(kernel: Callable[..., Any]) -> Callable[..., Any]:
+    """The kernel for points in the world, with NaN for harmful patches: its selects would hide them."""
+
+    def checked(control: Any, projection: Projection, *arguments: Any) -> Any:
+        found = kernel(projection.relative(control), projection, *arguments)
+        return jnp.where(harmless(control, projection) & positive(control), found, jnp.nan)
+
+    return checked

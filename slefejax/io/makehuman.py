@@ -19,12 +19,13 @@ from slefejax.errors import InputError, naming
 from slefejax.io.bvh import Bvh, read_bvh
 from slefejax.io.content import Content, read_bytes
 from slefejax.io.limits import LARGEST_TEXT, check_numbers
-from slefejax.io.numbers import Numbers, parse_whole
+from slefejax.io.numbers import Numbers, parse_whole, rows_of
 from slefejax.io.obj import read_obj
 from slefejax.late import one_at_a_time
 from slefejax.model.rig import Motion, Rig, Skeleton
 from slefejax.model.skinning import Influences, Key, ShapeKeys
 
+_TARGET = np.dtype([("vertex", np.int64), ("offset", np.float64, 3)])
 # MakeHuman exports poses with z up; its meshes have y up.
 _UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
@@ -128,6 +129,9 @@ def _padded(
 
 def _target(path: Path, count: int) -> Key:
     """Rows of a vertex number and its offset; what begins with # is a comment."""
+    rows = rows_of(path, _TARGET, "#")
+    if rows is not None and np.all((rows["vertex"] >= 0) & (rows["vertex"] < count)):
+        return Key(path.stem, ((rows["vertex"], rows["offset"]),))
     numbers = Numbers(path, comment="#")
     indices, offsets = array("q"), array("d")
     while (item := numbers.rest()) is not None:

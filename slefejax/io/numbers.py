@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import re
+import warnings
 from array import array
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import takewhile
@@ -109,6 +111,24 @@ class Numbers:
     def points(self, shape: tuple[int, ...], wanted: str) -> np.ndarray:
         """The next numbers as an array of that shape."""
         return np.array(array("d", (self.real(wanted) for _ in range(prod(shape)))), np.float64).reshape(shape)
+
+
+def rows_of(path: Path, kind: np.dtype, comment: str) -> np.ndarray | None:
+    """All of a file that is rows of finite numbers, at once; None where it is not, and ``Numbers`` says why.
+
+    kind : of a row; whole numbers are written as such
+    """
+    lines = list(_lines_of(path))
+    if any(comment in line and re.search(rf"\S{re.escape(comment)}", line) for line in lines):
+        return None  # inside of a word it begins no comment
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # for an empty file, or a whole number that is none
+            rows = np.loadtxt(lines, kind, comments=comment, ndmin=1)
+    except (ValueError, OverflowError, Warning):
+        return None
+    finite = all(np.isfinite(rows[name]).all() for name in kind.names or ())
+    return rows if finite else None
 
 
 def _size(patches: Sequence[np.ndarray]) -> float:

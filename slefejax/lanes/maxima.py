@@ -1,4 +1,4 @@
-"""Maxima for kernels: exact ones, and soft ones that are smooth and never smaller.
+"""Maxima for kernels: exact ones (``Exact``), and soft ones that are smooth and never smaller (``Soft``).
 
 A soft maximum of temperature T, 0 < T <= 1, of numbers that are not negative is their norm of order 1/T: at least the
 largest of them, at most N^T times as much where there are N, and smooth, with weights that add up in its gradient
@@ -9,12 +9,15 @@ temperature below 128 eps counts as that.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial, reduce
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 from jax.lax import select, stop_gradient
+
+from slefejax.lanes.plain import plain
 
 
 def larger(a: Any, b: Any) -> Any:
@@ -31,15 +34,6 @@ def smaller(a: Any, b: Any) -> Any:
     return select(a < b, a, b)
 
 
-def largest(values: list[Any], temperature: Any = None) -> Any:
-    """The largest of arrays, element by element; with a temperature softly, and then none may be negative."""
-    whole = reduce(larger, values)
-    if temperature is None or len(values) == 1:
-        return whole
-    unit, temperature = _unit(whole), _resolvable(temperature, whole)
-    return _soft(whole, sum((value / unit) ** (1.0 / temperature) for value in values), temperature)
-
-
 def at_least(values: Any, floor: Any) -> Any:
     """The larger of an array's elements and one number; NaN is not passed on.
 
@@ -48,22 +42,19 @@ def at_least(values: Any, floor: Any) -> Any:
     return larger(values, jnp.full_like(values, floor))
 
 
+def largest(values: list[Any]) -> Any:
+    """The largest of arrays, element by element."""
+    return reduce(larger, values)
+
+
 def smallest_along(values: Any, axis: tuple[int, ...]) -> Any:
     """The smallest along axes; where several are equal each has its share of the derivative."""
     return _chosen_along(jnp.min, axis, values)
 
 
-def largest_along(values: Any, axis: tuple[int, ...], temperature: Any = None) -> Any:
-    """The largest along axes; with a temperature softly, and then none may be negative.
-
-    Where several are equal each has its share of the derivative.
-    """
-    whole = _chosen_along(jnp.max, axis, values)
-    if temperature is None:
-        return whole
-    unit, temperature = _unit(whole), _resolvable(temperature, whole)
-    powers = (values / jnp.expand_dims(unit, axis)) ** (1.0 / temperature)
-    return _soft(whole, jnp.sum(powers, axis=axis), temperature)
+def largest_along(values: Any, axis: tuple[int, ...]) -> Any:
+    """The largest along axes; where several are equal each has its share of the derivative."""
+    return _chosen_along(jnp.max, axis, values)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 1))
@@ -96,53 +87,117 @@ def _of_the_chosen(choose: Callable[..., Any], axis: tuple[int, ...], at: tuple[
 _PLACE = {jnp.max: jnp.argmax, jnp.min: jnp.argmin}
 
 
-def blur(values: list[Any], temperature: Any, alike: tuple[int, ...] = ()) -> Any:
-    """T times the length of all values, or of their mean along axes whose numbers are alike; these get length 1."""
-    unit = _unit(jnp.max(reduce(larger, [jnp.abs(value) for value in values]), axis=alike, keepdims=True))
-    square = jnp.mean(sum((value / unit) ** 2 for value in values), axis=alike, keepdims=True)
-    return unit * temperature * root(square)
+@plain()
+@dataclass(frozen=True)
+class Exact:
+    """Maxima, sizes and extents as they are."""
+
+    exact: ClassVar[bool] = True
+
+    def largest(self, values: list[Any]) -> Any:
+        """The largest of arrays, element by element."""
+        return largest(values)
+
+    def largest_along(self, values: Any, axis: tuple[int, ...]) -> Any:
+        """The largest along axes."""
+        return largest_along(values, axis)
+
+    def sizes(self, values: list[Any], alike: tuple[int, ...] = ()) -> list[Any]:
+        """The sizes of numbers."""
+        return [jnp.abs(value) for value in values]
+
+    def positive_parts(self, values: list[Any], alike: tuple[int, ...] = (), wider: Any = 0.0) -> list[Any]:
+        """max(0, x) of every number x."""
+        return [larger(value, jnp.zeros_like(value)) for value in values]
+
+    def extent(self, values: list[Any]) -> Any:
+        """The largest less the smallest of arrays, element by element."""
+        return largest(values) - reduce(smaller, values)
 
 
-def sizes(values: list[Any], temperature: Any, alike: tuple[int, ...] = ()) -> list[Any]:
-    """Smooth stand-ins for the sizes of numbers, at least these and at most ``blur`` larger.
+@plain("temperature")
+@dataclass(frozen=True)
+class Soft:
+    """Soft maxima of a temperature, of numbers that are not negative; smooth sizes and extents, never smaller either.
 
-    They have no derivative only where all of the numbers are 0, along the axes that are alike too: it is 0 then.
+    Along axes that are ``alike`` numbers have one unit.
     """
-    added = blur(values, temperature, alike)
-    found = []
-    for value in values:
-        unit = _unit(larger(jnp.abs(value), jnp.broadcast_to(added, value.shape)))
-        found.append(unit * root((value / unit) ** 2 + (added / unit) ** 2))
-    return found
+
+    temperature: Any
+    exact: ClassVar[bool] = False
+
+    def largest(self, values: list[Any]) -> Any:
+        """The norm of order 1/T of arrays, element by element."""
+        whole = largest(values)
+        if len(values) == 1:
+            return whole
+        unit, temperature = _unit(whole), self._resolvable(whole)
+        return _soft(whole, sum((value / unit) ** (1.0 / temperature) for value in values), temperature)
+
+    def largest_along(self, values: Any, axis: tuple[int, ...]) -> Any:
+        """The norm of order 1/T along axes."""
+        whole = largest_along(values, axis)
+        unit, temperature = _unit(whole), self._resolvable(whole)
+        powers = (values / jnp.expand_dims(unit, axis)) ** (1.0 / temperature)
+        return _soft(whole, jnp.sum(powers, axis=axis), temperature)
+
+    def sizes(self, values: list[Any], alike: tuple[int, ...] = ()) -> list[Any]:
+        """Smooth stand-ins for the sizes of numbers, at least these and at most ``blur`` larger.
+
+        They have no derivative only where all of the numbers are 0, along the axes that are alike too: it is 0 then.
+        """
+        added = self.blur(values, alike)
+        found = []
+        for value in values:
+            unit = _unit(larger(jnp.abs(value), jnp.broadcast_to(added, value.shape)))
+            found.append(unit * root((value / unit) ** 2 + (added / unit) ** 2))
+        return found
+
+    def blur(self, values: list[Any], alike: tuple[int, ...] = ()) -> Any:
+        """T times the length of all values, or of their mean along axes that are alike; these get length 1."""
+        unit = _unit(jnp.max(reduce(larger, [jnp.abs(value) for value in values]), axis=alike, keepdims=True))
+        square = jnp.mean(sum((value / unit) ** 2 for value in values), axis=alike, keepdims=True)
+        return unit * self.temperature * root(square)
+
+    def positive_parts(self, values: list[Any], alike: tuple[int, ...] = (), wider: Any = 0.0) -> list[Any]:
+        """Smooth max(0, x), not smaller; half of what is ``wider`` is added."""
+        if not values:
+            return []
+        return [0.5 * (size + wider + x) for size, x in zip(self.sizes(values, alike), values, strict=True)]
+
+    def extent(self, values: list[Any]) -> Any:
+        """The largest less the smallest of arrays, element by element."""
+        middle = sum(values) / len(values)
+        apart = [value - middle for value in values]
+        unit = _unit(largest([jnp.abs(x) for x in apart]))
+        scaled = [x / unit for x in apart]
+        blur = self.temperature * root(sum(x * x for x in scaled) / len(values))
+        # where all are equal nothing is added, and nothing is divided by 0
+        safe = jnp.where(blur > 0, blur, 1.0)
+        ends = []
+        for side in ([x for x in scaled], [-x for x in scaled]):
+            top = stop_gradient(largest(side))
+            ends.append(top + blur * jnp.log(sum(jnp.exp((x - top) / safe) for x in side)))
+        return unit * (ends[0] + ends[1]) * (blur > 0)
+
+    def _resolvable(self, values: Any) -> Any:
+        """Where 1/T is so large that numbers that differ by rounding have powers that differ much, 128 eps is T."""
+        return jnp.maximum(self.temperature, 128.0 * jnp.finfo(values.dtype).eps)
 
 
-def extent(values: list[Any], temperature: Any) -> Any:
-    """The largest less the smallest of arrays, element by element; with a temperature smoothly, and at least that."""
-    if temperature is None:
-        return reduce(larger, values) - reduce(smaller, values)
-    middle = sum(values) / len(values)
-    apart = [value - middle for value in values]
-    unit = _unit(reduce(larger, [jnp.abs(x) for x in apart]))
-    scaled = [x / unit for x in apart]
-    blur = temperature * root(sum(x * x for x in scaled) / len(values))
-    # where all are equal nothing is added, and nothing is divided by 0
-    safe = jnp.where(blur > 0, blur, 1.0)
-    ends = []
-    for side in ([x for x in scaled], [-x for x in scaled]):
-        top = stop_gradient(reduce(larger, side))
-        ends.append(top + blur * jnp.log(sum(jnp.exp((x - top) / safe) for x in side)))
-    return unit * (ends[0] + ends[1]) * (blur > 0)
+Maxima = Exact | Soft
+EXACT = Exact()
+
+
+def maxima_of(temperature: Any) -> Maxima:
+    """Soft ones of a temperature, exact ones for None."""
+    return EXACT if temperature is None else Soft(temperature)
 
 
 def _soft(whole: Any, powers: Any, temperature: Any) -> Any:
     """From the sum of powers of the values over their largest: 1 or more, but for rounding, unless all values are 0."""
     some, eps = whole > 0, jnp.finfo(whole.dtype).eps
     return _unit(whole) * (1.0 + 8.0 * eps) * jnp.where(some, powers, 1.0) ** temperature * some
-
-
-def _resolvable(temperature: Any, values: Any) -> Any:
-    """Where 1/T is so large that numbers that differ by rounding have powers that differ much, 128 eps counts as T."""
-    return jnp.maximum(temperature, 128.0 * jnp.finfo(values.dtype).eps)
 
 
 def _unit(whole: Any) -> Any:

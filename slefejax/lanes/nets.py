@@ -1,14 +1,13 @@
 """Control nets of many patches, in one of two forms.
 
-Unrolled, a net is a list, along u, of lists, along v, of arrays ``(lanes,)``: one array a coefficient. The CPU runs
-that faster than larger arrays, but the compiler takes longer the more coefficients there are, and for reverse mode
-forever. As an array, a net is ``(nu, nv, lanes)``: slower, and compiled in a second whatever the degree.
+Unrolled, a net is a NumPy array of objects ``(nu, nv)``, each of them lanes: one array ``(lanes,)`` a coefficient. The
+CPU runs that faster than larger arrays, but the compiler takes longer the more coefficients there are, and for reverse
+mode forever. As an array, a net is ``(nu, nv, lanes)``: slower, and compiled in a second whatever the degree.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from itertools import pairwise
+from collections.abc import Callable, Sequence
 from math import comb, perm
 from typing import Any
 
@@ -16,106 +15,116 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from slefejax.lanes.maxima import larger, largest_along, smaller, smallest_along
+from slefejax.lanes.maxima import EXACT, Maxima, larger, smaller, smallest_along
+from slefejax.lanes.tuning import TUNING
 
 Lanes = Any  # (lanes,)
-_MOST_SLICES = 128
-Net = Any  # [[(lanes,), ...], ...] or (nu, nv, lanes)
+Net = Any  # (nu, nv) of (lanes,), or (nu, nv, lanes)
 
 
 def coordinates(control: Any, unrolled: bool) -> list[Net]:
     """One net for every coordinate of ``(nu, nv, dim, lanes)``."""
     nu, nv, dim, _ = control.shape
     if unrolled:
-        return [[[control[i, j, a] for j in range(nv)] for i in range(nu)] for a in range(dim)]
+        return [objects([[control[i, j, a] for j in range(nv)] for i in range(nu)]) for a in range(dim)]
     return [control[:, :, a] for a in range(dim)]
+
+
+def objects(rows: Sequence[Sequence[Any]]) -> Net:
+    """An unrolled net, of coefficients row by row."""
+    net = np.empty((len(rows), len(rows[0])), object)
+    for place in np.ndindex(*net.shape):
+        net[place] = rows[place[0]][place[1]]
+    return net
+
+
+def unrolled(net: Net) -> bool:
+    """Whether a net is in that form."""
+    return net.dtype == object
 
 
 def each(function: Callable[..., Any], *nets: Net) -> Net:
     """The function of corresponding coefficients."""
-    if isinstance(nets[0], list):
-        return [[function(*c) for c in zip(*rows, strict=True)] for rows in zip(*nets, strict=True)]
+    if unrolled(nets[0]):
+        return np.frompyfunc(function, len(nets), 1)(*nets)
     return function(*nets)
 
 
-def top(net: Net, temperature: Any = None) -> Lanes:
-    """The largest coefficient; with a temperature softly (``lanes.maxima``), of an array that is not negative."""
-    if temperature is None and isinstance(net, list):
-        return _tree(larger, net)
-    return largest_along(net, (0, 1), temperature)
+def top(net: Net, maxima: Maxima = EXACT) -> Lanes:
+    """The largest coefficient; softly only of an array that is not negative (``lanes.maxima``)."""
+    return _tree(larger, net) if unrolled(net) else maxima.largest_along(net, (0, 1))
 
 
 def bottom(net: Net) -> Lanes:
     """The smallest coefficient."""
-    return _tree(smaller, net) if isinstance(net, list) else smallest_along(net, (0, 1))
+    return _tree(smaller, net) if unrolled(net) else smallest_along(net, (0, 1))
 
 
 def size(net: Net) -> int:
     """How many coefficients there are; 0 for a derivative that is identically 0 by degree."""
-    return len(net) and len(net) * len(net[0])
+    return net.shape[0] * net.shape[1]
 
 
 def degrees(net: Net) -> tuple[int, int]:
     """Degrees along u and v."""
-    return len(net) - 1, len(net[0]) - 1
+    return net.shape[0] - 1, net.shape[1] - 1
 
 
 def derivative(net: Net, i: int, j: int) -> Net:
     """Coefficients of the derivative, i times by u and j times by v; none if it is identically 0 by degree."""
     (du, dv), found = degrees(net), differences(net, i, j)
     scale = perm(du, i) * perm(dv, j)
-    return each(lambda c: c * scale, found) if size(found) and scale != 1 else found
+    return found * scale if size(found) and scale != 1 else found
 
 
 def differences(net: Net, i: int, j: int) -> Net:
     """Differences of neighbours, i times along u and j times along v; none if there are too few coefficients."""
-    if not isinstance(net, list):
-        along_u, along_v = (
-            np.diff(np.eye(d + 1), order, axis=0) for d, order in zip(degrees(net), (i, j), strict=True)
-        )
-        return combined(net, along_u, along_v)
     for _ in range(i):
-        net = [[b - a for a, b in zip(*pair, strict=True)] for pair in pairwise(net)]
-    return transposed(differences(transposed(net), j, 0)) if j and net else net
+        net = net[1:] - net[:-1]
+    for _ in range(j):
+        net = net[:, 1:] - net[:, :-1]
+    return net
 
 
 def raised(net: Net, du: int, dv: int) -> Net:
     """The same polynomials with higher degrees."""
     # numbers of Python's own, which leave single precision as it is
-    return combined(net, _raising(len(net) - 1, du).tolist(), _raising(len(net[0]) - 1, dv).tolist())
+    return combined(net, *(_raising(low, high).tolist() for low, high in zip(degrees(net), (du, dv), strict=True)))
 
 
 def combined(net: Net, u: Any, v: Any) -> Net:
-    """u times the net times v transposed, for matrices of numbers or (unrolled) lists of lanes."""
-    if not isinstance(net, list):
+    """u times the net times v transposed, for matrices of numbers or, unrolled, of lanes."""
+    if not unrolled(net):
         u, v = (jnp.asarray(x, net.dtype) for x in (u, v))
         return jnp.einsum("ia,jb,abl->ijl", u, v, net, precision=jax.lax.Precision.HIGHEST)
-    columns = transposed(net)
-    rows = [[_weighted(line, column) for column in columns] for line in u]
-    return [[_weighted(line, row) for line in v] for row in rows]
+    rows = [[_weighted(line, column) for column in net.T] for line in u]
+    return objects([[_weighted(line, row) for line in v] for row in rows])
 
 
 def bilinear_times(corners: list[list[Lanes]], net: Net) -> Net:
     """The product with the bilinear function that has these values at the corners (i, j); both degrees grow by one."""
     du, dv = degrees(net)
     along_u, along_v = _times_linear(du), _times_linear(dv)
-    parts = [
-        each(lambda c, k=corners[i][j]: c * k, combined(net, along_u[i], along_v[j])) for i in (0, 1) for j in (0, 1)
-    ]
-    return each(lambda *c: total(list(c)), *parts)
+    parts = [combined(net, along_u[i], along_v[j]) for i in (0, 1) for j in (0, 1)]
+    weights = [corners[i][j] for i in (0, 1) for j in (0, 1)]
+    return total([each(lambda c, k=weight: c * k, part) for weight, part in zip(weights, parts, strict=True)])
 
 
 def sum_of_sizes(control: Any) -> Lanes:
     """The sum of the sizes of all numbers of ``(nu, nv, dim, lanes)``."""
-    nu, nv, dim, _ = control.shape
-    if nu * nv * dim > _MOST_SLICES:
+    if np.prod(control.shape[:3]) > TUNING.unrolled_sums:
         return jnp.sum(jnp.abs(control), axis=(0, 1, 2))
-    return total([jnp.abs(control[i, j, a]) for i in range(nu) for j in range(nv) for a in range(dim)])
+    return total([jnp.abs(control[place]) for place in np.ndindex(*control.shape[:3])])
+
+
+def stacked(net: Net) -> Any:
+    """A net as an array ``(nu, nv, lanes)``."""
+    return jnp.stack([jnp.stack(list(row)) for row in net])
 
 
 def transposed(net: Net) -> Net:
     """u and v exchanged."""
-    return [list(row) for row in zip(*net, strict=True)] if isinstance(net, list) else jnp.swapaxes(net, 0, 1)
+    return net.swapaxes(0, 1)
 
 
 def total(values: list[Any]) -> Any:
@@ -142,15 +151,15 @@ def _times_linear(degree: int) -> list[list[list[float]]]:
     return [((1.0 - i)[:, None] * eye[:, :-1]).tolist(), (i[:, None] * eye[:, 1:]).tolist()]
 
 
-def _weighted(weights: Any, values: list[Lanes]) -> Lanes:
+def _weighted(weights: Any, values: Sequence[Lanes]) -> Lanes:
     """The weighted sum, without what is known to be 0."""
     used = [(w, x) for w, x in zip(weights, values, strict=True) if not (isinstance(w, float) and w == 0.0)]
     return total([x if isinstance(w, float) and w == 1.0 else x * w for w, x in used or [(0.0, values[0])]])
 
 
-def _tree(choose: Callable[[Lanes, Lanes], Lanes], net: list[list[Lanes]]) -> Lanes:
+def _tree(choose: Callable[[Lanes, Lanes], Lanes], net: Net) -> Lanes:
     """All values in pairs, the results in pairs, ...: compiles faster than one after the other."""
-    values = [entry for row in net for entry in row]
+    values = list(net.ravel())
     while len(values) > 1:
         pairs = zip(values[::2], values[1::2], strict=False)
         values = [choose(*pair) for pair in pairs] + values[len(values) // 2 * 2 :]

@@ -16,8 +16,9 @@ from jaxtyping import Float, Int
 from slefejax.arguments import Patches, check_concrete, check_patches
 from slefejax.errors import InputError
 from slefejax.geometry.bezier import evaluate_patch
-from slefejax.geometry.view import View, homogeneous
-from slefejax.lanes import layout
+from slefejax.geometry.view import View
+from slefejax.lanes import layout, loops, passes
+from slefejax.measure.surface import undivided
 
 SLIPPED = 1 / 16  # pixels
 
@@ -90,18 +91,16 @@ def surface_on_screen(
     if patch.size and not (patch.min() >= 0 and patch.max() < len(patches)):
         raise InputError(f"patch numbers must be from 0 to {len(patches) - 1}, not {patch.min()} to {patch.max()}")
     with jax.enable_x64(True):
-        control: Any = homogeneous(np.asarray(patches, np.float64)) @ np.asarray(view.world_to_screen).T
-        # once, not for every block of samples
-        control = jax.device_put(np.ascontiguousarray(np.moveaxis(control, 0, -1)))
+        control = undivided(patches, view)
         samples = np.column_stack([u, v, patch]).astype(np.float64)
         return layout.through(lambda packed: _evaluate(packed, control), samples)
 
 
-@layout.as_pass()
+@passes.as_pass()
 def _evaluate(samples: Float[Any, "chunks 3 lanes"], control: Float[Any, "nu nv 4 patches"]) -> Any:
     def positions(chunk: Any) -> Any:
         own = control[..., chunk[2].astype(jnp.int32)]
         point = evaluate_patch(own, chunk[0], chunk[1])
         return jnp.where(point[3] > 0, point[:3] / point[3], jnp.nan)
 
-    return layout.over_chunks(positions, samples)
+    return loops.over_chunks(positions, samples)

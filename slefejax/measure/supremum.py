@@ -30,15 +30,15 @@ from jaxtyping import Float, Int
 from slefejax.arguments import Patches, check_concrete, check_patches, whole_numbers
 from slefejax.errors import InputError
 from slefejax.geometry.bezier import bernstein, combine
-from slefejax.geometry.view import View, homogeneous
-from slefejax.lanes import layout
+from slefejax.geometry.view import View
+from slefejax.lanes import layout, loops, passes
+from slefejax.measure.surface import Surface, distance
 from slefejax.tessellator.levels import MOST_LEVEL
 
 _LATTICE = 10  # q: intervals of the samples' lattice along each side
 _FINEST = 60  # samples along each side of a patch, at least
 _KEPT = 16  # windows of a patch that are zoomed into
 _ZOOMS = 4
-_UNSEEN = -1.0
 _BATCH = 2**16  # windows in memory at once
 
 Cells = Float[np.ndarray, "cells 4"]
@@ -96,27 +96,6 @@ def level_pairs(factors: Any, count: int) -> Int[np.ndarray, "patches 2"]:
     return np.stack([levels, levels], axis=1) if levels.ndim == 1 else levels
 
 
-class Surface(NamedTuple):
-    """Patches in undivided screen coordinates: X/W, Y/W pixels, Z/W window depth, as ``(du+1, dv+1, 4, patches)``."""
-
-    control: Any
-    size: Any  # width and height of the picture in pixels
-
-    @staticmethod
-    def of(patches: np.ndarray, view: View) -> Surface:
-        """In float64. Raises InputError for a view that is none, or for control points that are not finite."""
-        if not isinstance(view, View):
-            raise InputError(f"the view must be a slefejax.View, not {type(view).__name__}")
-        bad = np.flatnonzero(~np.isfinite(np.asarray(patches)).all(axis=(1, 2, 3)))
-        if bad.size:
-            raise InputError(f"patch {bad[0]} (counted from 0) has control points that are not finite numbers")
-        control: Any = homogeneous(np.asarray(patches, np.float64)) @ np.asarray(view.world_to_screen).T
-        with jax.enable_x64(True):
-            # once, not for every block of cells
-            control = jax.device_put(np.ascontiguousarray(np.moveaxis(control, 0, -1)))
-        return Surface(control, np.array([view.width, view.height], np.float64))
-
-
 def cell_errors(
     surface: Surface, patch: Int[np.ndarray, "windows"], cells: Cells, windows: Windows
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -132,9 +111,9 @@ def cell_errors(
         return error, a, b
 
 
-@layout.as_pass()
+@passes.as_pass()
 def _cells_pass(packed: Any, control: Any, size: Any) -> Any:
-    return layout.over_chunks(_cell_kernel, packed, control, size)
+    return loops.over_chunks(_cell_kernel, packed, control, size)
 
 
 def _cell_kernel(lanes: Any, control: Any, size: Any) -> Any:
@@ -161,15 +140,6 @@ def _tensor(control: Any, u: Any, v: Any) -> Any:
     """Points ``(4, us, vs, lanes)`` of patches ``(nu, nv, 4, lanes)``, u ``(us, lanes)`` with v ``(vs, lanes)``."""
     rows = combine(control[:, :, :, None], bernstein(control.shape[0] - 1, u))
     return combine(rows[:, :, :, None], bernstein(control.shape[1] - 1, v[None]))
-
-
-def distance(exact: Any, drawn: Any, size: Any) -> Any:
-    """Of undivided screen points ``(4, ...)``: max(|dx|, |dy|) in pixels; -1 where the drawn one is not visible."""
-    x, y, z, w = drawn
-    visible = (w > 0) & (x >= 0) & (x <= size[0] * w) & (y >= 0) & (y <= size[1] * w) & (z >= 0) & (z <= w)
-    w, true_w = jnp.where(visible, w, 1.0), jnp.where(exact[3] > 0, exact[3], 1.0)
-    far = jnp.maximum(jnp.abs(exact[0] / true_w - x / w), jnp.abs(exact[1] / true_w - y / w))
-    return jnp.where(visible, jnp.where(exact[3] > 0, far, jnp.inf), _UNSEEN)
 
 
 def _window_counts(levels: np.ndarray) -> np.ndarray:

@@ -17,8 +17,9 @@ from slefejax.arguments import Patches, check_concrete, check_patches, real_numb
 from slefejax.errors import InputError
 from slefejax.geometry.bezier import evaluate_patch
 from slefejax.geometry.view import View
-from slefejax.lanes import layout
-from slefejax.measure.supremum import Supremum, Surface, distance, largest_of_each
+from slefejax.lanes import layout, loops, passes
+from slefejax.measure.supremum import Supremum, largest_of_each
+from slefejax.measure.surface import Surface, distance
 
 _LATTICE = 10  # intervals along each edge
 _COARSEST = 1 / 6  # a triangle that is longer than this in the domain is cut before it is sampled
@@ -141,9 +142,9 @@ def _sample(
     return found[:, 0], found[:, 1:]
 
 
-@layout.as_pass()
+@passes.as_pass()
 def _triangles_pass(packed: Any, control: Any, size: Any) -> Any:
-    return layout.over_chunks(_triangle_kernel, packed, control, size)
+    return loops.over_chunks(_triangle_kernel, packed, control, size)
 
 
 _PLACES = np.array([(i, j, _LATTICE - i - j) for i in range(_LATTICE + 1) for j in range(_LATTICE + 1 - i)], np.float64)

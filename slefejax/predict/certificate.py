@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import jax
@@ -12,14 +12,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from slefejax.bounds.triangles import AnyTriangle, HalfCells
 from slefejax.geometry.projection import Projection
-from slefejax.lanes import layout
+from slefejax.lanes import layout, loops, passes
+from slefejax.lanes.tuning import TUNING
 from slefejax.predict.certified import certified_factor
 from slefejax.tessellator.levels import HIGHEST_LEVEL
 from slefejax.tessellator.rings import Pattern
 
 _RATIOS = 2.0 ** (np.arange(-20, 21) / 4.0)  # of n_u to n_v that are tried
-_MANY = 30_000  # nets
 _SMALLER_STEPS = 4  # how often each of a pair is made smaller by one, where that is still allowed
 _STEPS = 6  # towards the longest triangle
 _JUST_BELOW = 0.995  # where a step aims: a length that is not quite allowed is worth nothing
@@ -92,7 +93,7 @@ class Certificate:
     ) -> Float[np.ndarray, "n"]:
         """How long triangles of any shape may be along an axis of a net, between two lengths; 0 if never so short."""
         numbers = np.stack([along, shortest, longest], axis=1)
-        return self._through(_longest_pass, nets, numbers, self.scale, _STEPS, self.tiles)
+        return self._through(_longest_pass, nets, numbers, (self.scale, _STEPS), self.tiles)
 
     def triangles_keep(
         self, nets: Float[np.ndarray, "n nu nv dim"], along: Int[np.ndarray, "n"], length: Float[np.ndarray, "n"]
@@ -100,9 +101,8 @@ class Certificate:
         """Whether triangles of any shape, of a length along an axis of a net, keep the tolerance."""
         # what is tried is not shorter, whatever rounding does to it
         length = length * (1.0 + 8.0 * np.finfo(self.patches.dtype).eps)
-        return (
-            self._through(_longest_pass, nets, np.stack([along, length, length], axis=1), self.scale, 1, self.tiles) > 0
-        )
+        numbers = np.stack([along, length, length], axis=1)
+        return self._through(_longest_pass, nets, numbers, (self.scale, 1), self.tiles) > 0
 
     def for_all_boxes(self, patch: Int[np.ndarray, "n"], levels: Int[np.ndarray, "n 2"]) -> Int[np.ndarray, "n 2"]:
         """Levels in the ratio of those given from which on all grids keep the tolerance, raised along u, v or both."""
@@ -154,8 +154,10 @@ class Certificate:
         return best
 
     def _through(self, compiled: Callable[..., Any], nets: np.ndarray, numbers: np.ndarray, *more: Any) -> np.ndarray:
+        if not len(nets):
+            return np.zeros(0)
         # unrolled they run six times as fast, and compile three times as long
-        unrolled = None if len(nets) >= _MANY else False
+        unrolled = None if len(nets) >= TUNING.many_nets else False
 
         def run(packed: Any) -> Any:
             return compiled(packed, self.projection, self.tolerances, *more, unrolled)
@@ -163,47 +165,50 @@ class Certificate:
         return layout.through(run, (nets, numbers), self.patches.dtype).astype(np.float64)
 
 
-@layout.as_pass(3, 4)
+@passes.as_pass(3, 4)
 def _boxes_pass(
     packed: Any, projection: Projection, tolerances: tuple[Any, Any], tiles: int, unrolled: bool | None
 ) -> Any:
-    def kernel(both: tuple[Any, Any]) -> Any:
-        control, (e_u, e_v, evenness) = both
-        return certified_factor(control, projection, *tolerances, (e_u, e_v), evenness, tiles=tiles, unrolled=unrolled)
-
-    return layout.over_chunks(kernel, packed)
+    return _of_boxes(packed, projection, tolerances, tiles=tiles, unrolled=unrolled)
 
 
-@layout.as_pass(5, 6)
+@loops.chunked
+def _of_boxes(both: Any, projection: Projection, tolerances: Any, *, tiles: int, unrolled: bool | None) -> Any:
+    control, (e_u, e_v, evenness) = both
+    triangles = HalfCells((e_u, e_v), evenness)
+    return certified_factor(control, projection, tolerances, triangles, tiles=tiles, unrolled=unrolled)
+
+
+@passes.as_pass(4, 5)
 def _longest_pass(
-    packed: Any,
-    projection: Projection,
-    tolerances: tuple[Any, Any],
-    scale: Any,
-    steps: Any,
-    tiles: int,
-    unrolled: bool | None,
+    packed: Any, projection: Projection, tolerances: tuple[Any, Any], search: Any, tiles: int, unrolled: bool | None
 ) -> Any:
-    def kernel(both: tuple[Any, Any]) -> Any:
-        control, (along, shortest, longest) = both
-        bound = partial(
-            certified_factor, control, projection, *tolerances, tiles=tiles, any_triangle=True, unrolled=unrolled
-        )
+    return _of_lengths(packed, projection, tolerances, search, tiles=tiles, unrolled=unrolled)
 
-        def closer(_: Any, known: tuple[Any, ...]) -> tuple[Any, ...]:
-            found, length, before, value_before = known
-            size = jnp.sqrt(length)
-            extent = (jnp.where(along == 0, size, 1.0 / size), jnp.where(along == 0, 1.0 / size, size))
-            value = jnp.maximum(bound(extent) * size * scale, 1e-3)
-            found = jnp.where(value <= 1.0, jnp.maximum(found, length), found)
-            # value is about a power of the length, of an exponent up to 1
-            rise = jnp.log(value / value_before) / jnp.log(length / before)
-            power = jnp.where((rise > 0.3) & (rise < 1.0), rise, 1.0)
-            aim = jnp.clip(_JUST_BELOW * length * value ** (-1.0 / power), shortest, longest)
-            return found, jnp.where(aim == length, _JUST_BELOW * aim, aim), length, value
 
-        guess = jnp.sqrt(shortest * longest)
-        start = (jnp.zeros_like(shortest), guess, 2.0 * guess, jnp.ones_like(guess))
-        return jax.lax.fori_loop(0, steps, closer, start)[0]
+@loops.chunked
+def _of_lengths(
+    both: Any, projection: Projection, tolerances: Any, search: Any, *, tiles: int, unrolled: bool | None
+) -> Any:
+    control, (along, shortest, longest) = both
+    scale, steps = search
 
-    return layout.over_chunks(kernel, packed)
+    def needed(length: Any) -> Any:
+        size = jnp.sqrt(length)
+        triangles = AnyTriangle((jnp.where(along == 0, size, 1.0 / size), jnp.where(along == 0, 1.0 / size, size)))
+        factor = certified_factor(control, projection, tolerances, triangles, tiles=tiles, unrolled=unrolled)
+        return jnp.maximum(factor * size * scale, 1e-3)
+
+    def closer(_: Any, known: tuple[Any, ...]) -> tuple[Any, ...]:
+        found, length, before, value_before = known
+        value = needed(length)
+        found = jnp.where(value <= 1.0, jnp.maximum(found, length), found)
+        # value is about a power of the length, of an exponent up to 1
+        rise = jnp.log(value / value_before) / jnp.log(length / before)
+        power = jnp.where((rise > 0.3) & (rise < 1.0), rise, 1.0)
+        aim = jnp.clip(_JUST_BELOW * length * value ** (-1.0 / power), shortest, longest)
+        return found, jnp.where(aim == length, _JUST_BELOW * aim, aim), length, value
+
+    guess = jnp.sqrt(shortest * longest)
+    start = (jnp.zeros_like(shortest), guess, 2.0 * guess, jnp.ones_like(guess))
+    return jax.lax.fori_loop(0, steps, closer, start)[0]

@@ -2,12 +2,11 @@
 
 Kernels run with the patches along the last axis (``slefejax.lanes.layout``), on nets that are unrolled or arrays
 (``lanes.nets``). Unrolled, the compiler makes one loop of everything between two divisions or roots, and repeats
-what several loops need, so there are few of them.
+what several loops need, so there are few of them. ``predict.plainly`` has the same without that, patch by patch.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial, reduce
 from math import perm
 from typing import Any, NamedTuple
@@ -16,119 +15,98 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from slefejax.bounds.triangles import Extent, HalfCells, Triangles, sum_of_sizes
 from slefejax.geometry.bezier import tile_matrices
-from slefejax.geometry.projection import Projection
-from slefejax.lanes import layout, nets
-from slefejax.lanes.maxima import larger, largest, sizes, smaller
+from slefejax.geometry.projection import Projection, numbers, reaches, undivided
+from slefejax.lanes import loops, nets
+from slefejax.lanes.maxima import EXACT, Maxima, larger, smaller
 from slefejax.lanes.nets import Lanes, Net
+from slefejax.lanes.tuning import TUNING
 
-Hessian = tuple[Net | None, Net, Net | None]
-Extent = tuple[Any, Any]  # sides of the box that holds a triangle, in units of 1/n, along u and v
+Hessian = tuple[Net | None, ...]  # uu, uv, vv
 
-_CUBIC = 1.0 / (12.0 * 27.0**0.5)  # the largest (1 - z^2) z / 24
 _THIRD = ((3, 0, 1.0), (2, 1, 3.0), (1, 2, 3.0), (0, 3, 1.0))  # d/du, d/dv, multiplicity
-_UNROLLED = 16  # coefficients that are still unrolled
 _ROUNDING = 16.0  # a coefficient of a tile is wrong by at most half of this, in eps of the sum of its terms' sizes
 
 
+@loops.chunked
 def certified_factors(
-    packed: Float[Array, "chunks nu nv dim lanes"], projection: Projection, scales: tuple[Any, Any, Any], tiles: int
-) -> Float[Array, "chunks lanes"]:
-    """``certified_factor`` of all chunks, differentiable in forward and reverse mode.
+    control: Float[Array, "nu nv dim lanes"], projection: Projection, tolerances: Any, maxima: Maxima, *, tiles: int
+) -> Float[Array, "lanes"]:
+    """``certified_factor`` of control points in the world; called with all chunks.
 
-    scales : tolerance, depth tolerance and temperature, the last two or one None if they were not asked for
+    Differentiable in forward and reverse mode: unrolled that would take the compiler minutes.
     """
-    # with constants: differentiation neither sees nor repeats this loop
-    factor = _over_chunks(*jax.lax.stop_gradient((packed, projection, scales)), tiles)
-    return _with_slopes(tiles, factor, packed, projection, scales)
+    return certified_factor(projection.relative(control), projection, tolerances, tiles=tiles, maxima=maxima)
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _with_slopes(tiles: int, factor: Any, packed: Any, projection: Projection, scales: tuple) -> Any:
-    """The factors, with the derivatives of the same kernel on arrays: of the unrolled one they would take minutes."""
-    return factor
-
-
-@_with_slopes.defjvp
-def _derivative(tiles: int, at: tuple, along: tuple) -> tuple:
-    arrays = partial(_over_chunks, tiles=tiles, unrolled=False, apart=True)
-    return at[0], jax.jvp(arrays, at[1:], along[1:])[1]
-
-
-def _over_chunks(
-    packed: Any, projection: Any, scales: tuple, tiles: int, unrolled: bool | None = None, apart: bool = False
-) -> Any:
-    def kernel(control: Any, projection: Any, tolerance: Any, depth_tolerance: Any, smooth: Any) -> Any:
-        return certified_factor(
-            projection.relative(control),
-            projection,
-            tolerance,
-            depth_tolerance,
-            tiles=tiles,
-            unrolled=unrolled,
-            smooth=smooth,
-        )
-
-    return layout.over_chunks(kernel, packed, projection, *scales, apart=apart)
+@certified_factors.slopes
+def _slopes(control: Any, _: Any, projection: Projection, tolerances: Any, maxima: Maxima, *, tiles: int) -> Any:
+    near = projection.relative(control)
+    return certified_factor(near, projection, tolerances, tiles=tiles, maxima=maxima, unrolled=False)
 
 
 def certified_factor(
     control: Float[Array, "nu nv dim lanes"],
     projection: Projection,
-    tolerance: Any,
-    depth_tolerance: Any,
-    extent: Extent = (1.0, 1.0),
-    evenness: Any = 1.0,
+    tolerances: Any,
+    triangles: Triangles | None = None,
     *,
     tiles: int,
-    any_triangle: bool = False,
+    maxima: Maxima = EXACT,
     unrolled: bool | None = None,
-    smooth: Any = None,
 ) -> Float[Array, "lanes"]:
     """A real n >= 1 from which on the bound of docs/certified.md is at most the tolerance; 0 for an unseen patch.
 
     control    : relative to the projection's origin
+    tolerances : in pixels, and of window depth or None
+    triangles  : for which the bound holds from n on, wherever they are visible; None: all cells of grids
+    maxima     : those that make n: over coefficients, both ends of the picture, coordinates, tiles. Whether a patch is
+                 seen, and what it reaches of the picture, is exact in any case
     unrolled   : the form of the nets; None: what suits their degrees
-    smooth     : a temperature (``lanes.maxima``) for the maxima that make n: over coefficients, both ends of the
-                 picture, coordinates, tiles. Whether a patch is seen, and what it reaches of the picture, stays so
-
-    For n and every larger number the bound holds for all triangles that are half of a box of sides extent/n in the
-    domain, or of a box with sides of at least ``evenness`` times that, wherever they are visible; with ``any_triangle``
-    for triangles of any shape that lie in the box.
     """
     if unrolled is None:
-        unrolled = control.shape[0] * control.shape[1] <= _UNROLLED and control.shape[2] == 3 and smooth is None
-    screen = Screen.of(control, projection, tolerance, depth_tolerance, unrolled)
-    measure = _of_any_triangle if any_triangle else partial(_of_half_cell, evenness=evenness, smooth=smooth)
-    bends = [_largest_sum(net, extent, smooth) for net in (*screen.rows[:2], screen.w)]
-    if tiles == 1:
-        # n is at least what the corners need, which is known without a second loop
-        whole = Piece.of(screen, screen.rows, screen.w, 1)
-        least = _least_square(screen, whole, extent, smooth)
-        inverse = 1.0 / jnp.sqrt(least)
-        square = _square(screen, whole, bends[2], extent, measure, inverse, smooth)
-        square = largest([square, jnp.where(least > 1.0, least, 0.0)], smooth)
-    else:
-
-        def step(found: Lanes, matrices: tuple[Any, Any], rows_now: tuple[int, ...]) -> tuple[Lanes, None]:
-            if unrolled:
-                # lanes all the same: with single numbers the compiler would split the loop
-                lanes = screen.w_size.shape
-                matrices = jax.tree.map(lambda x: [[jnp.broadcast_to(c, lanes) for c in row] for row in x], matrices)
-            *rows, w = (nets.combined(net, *matrices) for net in (*screen.rows, screen.w))
-            piece = Piece.of(screen, rows, w, tiles)
-            square = _square(screen, piece, bends[2], extent, measure, smooth=smooth, numbers=rows_now)
-            return largest([found, smaller(square, _last_visible(screen, piece, bends))], smooth), None
-
-        matrices = tile_matrices(control.shape[0], control.shape[1], tiles)
-        matrices = jax.tree.map(lambda x: jnp.asarray(x, control.dtype), matrices)
-        square = jnp.zeros_like(screen.w_size)
-        for group in ((0, 1), (2,))[: len(screen.rows) - 1] if unrolled else (tuple(range(len(screen.rows))),):
-            square, _ = jax.lax.scan(partial(step, rows_now=group), square, matrices)
+        few = control.shape[0] * control.shape[1] <= TUNING.unrolled_coefficients
+        unrolled = few and control.shape[2] == 3 and maxima.exact
+    shapes = HalfCells() if triangles is None else triangles
+    screen = Screen.of(control, projection, tolerances, unrolled)
+    bends = [_largest_sum(net, shapes.extent, maxima) for net in (*screen.rows[:2], screen.w)]
+    of_pieces = _of_the_whole if tiles == 1 else partial(_of_tiles, tiles=tiles)
+    square = of_pieces(screen, shapes, bends, maxima)
     rounded = 1.0 + 128.0 * jnp.finfo(control.dtype).eps
     # a bound that 1 fulfils is not rounded up: flat patches are one quad
-    square = largest([square * rounded, jnp.ones_like(square)], smooth)
+    square = maxima.largest([square * rounded, jnp.ones_like(square)])
     return jnp.sqrt(jnp.where(screen.visible, square, 1.0)) * jnp.where(screen.visible, 1.0, 0.0)
+
+
+def _of_the_whole(screen: Screen, triangles: Triangles, bends: list[Lanes], maxima: Maxima) -> Lanes:
+    """n^2 of patches in one piece: at least what the corners need, which is known without a second loop."""
+    whole = Piece.of(screen, screen.rows, screen.w, 1)
+    least = _least_square(screen, whole, triangles.extent, maxima)
+    square = _square(screen, whole, bends[2], triangles, maxima, 1.0 / jnp.sqrt(least))
+    return maxima.largest([square, jnp.where(least > 1.0, least, 0.0)])
+
+
+def _of_tiles(screen: Screen, triangles: Triangles, bends: list[Lanes], maxima: Maxima, tiles: int) -> Lanes:
+    """The largest n^2 that a tile needs."""
+    unrolled, lanes = nets.unrolled(screen.w), screen.w_size
+
+    def step(found: Lanes, matrices: tuple[Any, Any], which: tuple[int, ...]) -> tuple[Lanes, None]:
+        if unrolled:
+            # lanes all the same: with single numbers the compiler would split the loop
+            matrices = jax.tree.map(lambda x: [[jnp.broadcast_to(c, lanes.shape) for c in row] for row in x], matrices)
+        *rows, w = (nets.combined(net, *matrices) for net in (*screen.rows, screen.w))
+        piece = Piece.of(screen, rows, w, tiles)
+        square = _square(screen, piece, bends[2], triangles, maxima, which=which)
+        return maxima.largest([found, smaller(square, _last_visible(screen, piece, bends))]), None
+
+    (du, dv), square = nets.degrees(screen.w), jnp.zeros_like(lanes)
+    matrices = jax.tree.map(lambda x: jnp.asarray(x, lanes.dtype), tile_matrices(du + 1, dv + 1, tiles))
+    every = tuple(range(len(screen.rows)))
+    # unrolled, loops over three rows take the compiler longer than two loops
+    for which in (every[:2], every[2:]) if unrolled and every[2:] else (every,):
+        square, _ = jax.lax.scan(partial(step, which=which), square, matrices)
+    return square
 
 
 class Screen(NamedTuple):
@@ -145,15 +123,14 @@ class Screen(NamedTuple):
     rational: bool
 
     @staticmethod
-    def of(control: Any, projection: Projection, tolerance: Any, depth_tolerance: Any, unrolled: bool) -> Screen:
+    def of(control: Any, projection: Projection, tolerances: Any, unrolled: bool) -> Screen:
         """From control points relative to the origin. An unseen patch may count as visible, never the reverse."""
-        rational = control.shape[2] == 4
-        scales = [1.0 / tolerance, 1.0 / tolerance, 1.0 if depth_tolerance is None else 1.0 / depth_tolerance]
+        rational, (pixels, depth) = control.shape[2] == 4, tolerances
+        scales = [1.0 / pixels, 1.0 / pixels, 1.0 if depth is None else 1.0 / depth]
         half = [extent * scale for extent, scale in zip(projection.half, scales, strict=True)]
-        matrix = [row * scale for row, scale in zip(projection.to_pixels, (*scales, 1.0), strict=True)]
+        rows = numbers([row * scale for row, scale in zip(projection.to_pixels, (*scales, 1.0), strict=True)])
         points = nets.coordinates(control, unrolled)
-        rows = [[row[a] for a in range(4)] for row in matrix]
-        x, y, z, w = (nets.each(partial(_image, row), *points) for row in rows)
+        x, y, z, w = undivided(rows, points)
         largest = [nets.top(nets.each(jnp.abs, coordinate)) for coordinate in points]
         # of rational patches coordinates times weights were taken off
         weight = largest[3] if rational else projection.rounded
@@ -165,11 +142,11 @@ class Screen(NamedTuple):
         inside = []
         for net, extent, size in zip((x, y, z), half, sizes, strict=True):
             error = _ROUNDING * eps * size
-            inside += [reach + error for reach in _reaches(net, w, extent)]
+            inside += [reach + error for reach in reaches(net, w, extent)]
         # a reduction of stacked arrays would not be vectorised
         visible = reduce(jnp.logical_and, [reach >= 0 for reach in inside])
         weight = nets.bottom(points[3]) if rational else jnp.ones_like(largest[0])
-        count = 2 if depth_tolerance is None else 3
+        count = 2 if depth is None else 3
         floor = projection.near_w * weight
         return Screen([x, y, z][:count], w, half[:count], floor, sizes[:count], w_size, eps, visible, rational)
 
@@ -216,7 +193,7 @@ class Remainder(NamedTuple):
     fourth: Lanes  # over 288
 
 
-def _remainder(row: list[Net], w: list[Net], ends: tuple[Lanes, Lanes], extent: Extent, smooth: Any) -> Remainder:
+def _remainder(row: list[Net], w: list[Net], ends: tuple[Lanes, Lanes], extent: Extent, maxima: Maxima) -> Remainder:
     """The fourth derivatives are differences of the third, times a degree: bounded by twice as much.
 
     row, w : the polynomials and their third differences
@@ -224,7 +201,7 @@ def _remainder(row: list[Net], w: list[Net], ends: tuple[Lanes, Lanes], extent: 
     tops, (du, dv) = [], nets.degrees(row[0])
     for (i, j, times), own, depth in zip(_THIRD, row[1:], w[1:], strict=True):
         scale = times * perm(du, i) * perm(dv, j) * extent[0] ** i * extent[1] ** j
-        tops.append(scale * _largest_at(ends, own, depth, smooth) if nets.size(own) else jnp.zeros_like(ends[0]))
+        tops.append(scale * _largest_at(ends, own, depth, maxima) if nets.size(own) else jnp.zeros_like(ends[0]))
     uuu, uuv, uvv, vvv = tops
     by_u = max(du - 3, 0) * extent[0] * uuu + (4 * (du - 2) * extent[0] / 3 + (dv - 1) * extent[1]) * uuv
     by_v = max(dv - 3, 0) * extent[1] * vvv + (4 * (dv - 2) * extent[1] / 3 + (du - 1) * extent[0]) * uvv
@@ -236,20 +213,20 @@ def _third_differences(net: Net) -> list[Net]:
     return [net, *(nets.differences(net, i, j) for i, j, _ in _THIRD)]
 
 
-def _least_square(screen: Screen, whole: Piece, extent: Extent, smooth: Any) -> Lanes:
+def _least_square(screen: Screen, whole: Piece, extent: Extent, maxima: Maxima) -> Lanes:
     """The square of what n is at least by the second derivatives at the corners: remainders are taken there.
 
     Any number >= 1 would do for the proof; one just below n loses least.
     """
-    square = jnp.ones_like(whole.widest)
+    square, cells = jnp.ones_like(whole.widest), HalfCells()
     depth = _plain_hessian(screen.w, extent)
     for row in screen.rows:
         own = _plain_hessian(row, extent)
         for i, j in ((0, 0), (0, -1), (-1, 0), (-1, -1)):
-            inverse = whole.inverse[i][j]
-            s = row[i][j] * inverse
-            value = [x[i][j] - s * y[i][j] if nets.size(x) else None for x, y in zip(own, depth, strict=True)]
-            square = largest([square, _of_half_cell(*value, smooth=smooth) * inverse / 8.0], smooth)
+            inverse = whole.inverse[i, j]
+            s = row[i, j] * inverse
+            value = [x[i, j] - s * y[i, j] if nets.size(x) else None for x, y in zip(own, depth, strict=True)]
+            square = maxima.largest([square, cells.bend(*value, maxima=maxima) * inverse / 8.0])
     return square
 
 
@@ -257,76 +234,69 @@ def _square(
     screen: Screen,
     piece: Piece,
     w_bend: Lanes,
-    extent: Extent,
-    measure: Callable[..., Lanes],
+    triangles: Triangles,
+    maxima: Maxima,
     inverse: Lanes | None = None,
-    smooth: Any = None,
-    numbers: tuple[int, ...] | None = None,
+    which: tuple[int, ...] | None = None,
 ) -> Lanes:
     """n^2 at which the bound for the points of a tile is at most 1.
 
-    numbers : of the rows that are looked at; None: of all
     inverse : 1/n is at most that; None: what the second derivatives say
+    which   : of the rows are looked at; None: all
     """
-    depth, w = _hessian(piece.w, extent), _third_differences(screen.w)
+    depth, w = _hessian(piece.w, triangles.extent), _third_differences(screen.w)
     degree = sum(nets.degrees(piece.w))
     rounding = 2.0 * _ROUNDING * screen.eps * (degree**2 / 8.0 + degree**3 / 24.0 + degree**4 / 72.0)
     squares = []
-    for k in range(len(piece.rows)) if numbers is None else numbers:
+    for k in range(len(piece.rows)) if which is None else which:
         row, ends, size = piece.rows[k], piece.ends[k], screen.sizes[k]
-        remainder = _remainder(_third_differences(screen.rows[k]), w, ends, extent, smooth)
-        hessian = _hessian(row, extent)
-        tops = [nets.top(_measured(measure, s, hessian, depth, piece.inverse), smooth) for s in ends]
-        second = largest(tops, smooth)
+        remainder = _remainder(_third_differences(screen.rows[k]), w, ends, triangles.extent, maxima)
+        hessian = _hessian(row, triangles.extent)
+        tops = [nets.top(_measured(triangles, s, hessian, depth, piece.inverse, maxima), maxima) for s in ends]
+        second = maxima.largest(tops)
         if screen.rational:
-            followed = _followed(screen, piece, row, size, extent, measure, smooth)
+            followed = _followed(screen, piece, row, size, triangles, maxima)
             second = jnp.where(piece.within[k], smaller(second, followed), second)
         second = second * piece.scale
         upper = 1.0 / jnp.sqrt(larger(second / 8.0, jnp.ones_like(second))) if inverse is None else inverse
-        both = remainder.along_u + remainder.along_v
-        if measure is _of_any_triangle:
-            third = both / 48.0
-        else:
-            more = largest([remainder.along_u, remainder.along_v], smooth)
-            third = (_CUBIC - 1.0 / 288.0) * more + both / 288.0
-            second = largest([second, more * piece.widest * upper], smooth)
+        third, least = triangles.third(remainder.along_u, remainder.along_v, maxima)
+        if least is not None:
+            second = maxima.largest([second, least * piece.widest * upper])
         rest = (third + remainder.fourth * upper) * upper + w_bend / 8.0 + rounding * size
         squares.append(second / 8.0 + rest * piece.widest)
-    return largest(squares, smooth)
+    return maxima.largest(squares)
 
 
-def _followed(
-    screen: Screen, piece: Piece, row: Net, size: Lanes, extent: Extent, measure: Callable[..., Lanes], smooth: Any
-) -> Lanes:
+def _followed(screen: Screen, piece: Piece, row: Net, size: Lanes, triangles: Triangles, maxima: Maxima) -> Lanes:
     """The largest measure of the Hessian of g_s* over W where s* = X/W follows the place: docs/certified.md, (7).
 
     A bilinear s stands for X/W, and the largest distance between the two counts in full. The second derivatives of W of
     rational patches are large, so that it matters which s goes with them.
     """
-    corners = [[row[i][j] * piece.inverse[i][j] for j in (0, -1)] for i in (0, -1)]
+    corners = [[row[i, j] * piece.inverse[i, j] for j in (0, -1)] for i in (0, -1)]
     du, dv = (d + 1 for d in nets.degrees(row))
 
     def raised(part: Net) -> Net | None:
         return nets.raised(part, du, dv) if nets.size(part) else None
 
-    bends = _plain_hessian(piece.w, extent)
-    own = [raised(part) for part in _plain_hessian(row, extent)]
+    bends = _plain_hessian(piece.w, triangles.extent)
+    own = [raised(part) for part in _plain_hessian(row, triangles.extent)]
     followed = [raised(nets.bilinear_times(corners, part)) if nets.size(part) else None for part in bends]
     error = _ROUNDING * screen.eps
     w = nets.raised(piece.w, du, dv)
     inverse = nets.each(lambda c: 1.0 / larger(c - error * screen.w_size, jnp.broadcast_to(screen.floor, c.shape)), w)
     ones = jnp.ones_like(size)
-    whole = _measured(measure, ones, (own[0], own[1], own[2]), (followed[0], followed[1], followed[2]), inverse)
+    whole = _measured(triangles, ones, tuple(own), tuple(followed), inverse, maxima)
     zero = [None if part is None else nets.each(jnp.zeros_like, part) for part in own]
     depth = [raised(part) for part in bends]
-    rest = _measured(measure, ones, (zero[0], zero[1], zero[2]), (depth[0], depth[1], depth[2]), inverse)
+    rest = _measured(triangles, ones, tuple(zero), tuple(depth), inverse, maxima)
     apart = nets.each(
         lambda x, y, i: (jnp.abs(x - y) + error * size) * i,
         nets.raised(row, du, dv),
         nets.bilinear_times(corners, piece.w),
         inverse,
     )
-    return nets.top(whole, smooth) + nets.top(apart, smooth) * nets.top(rest, smooth)
+    return nets.top(whole, maxima) + nets.top(apart, maxima) * nets.top(rest, maxima)
 
 
 def _last_visible(screen: Screen, piece: Piece, bends: list[Lanes]) -> Lanes:
@@ -339,7 +309,7 @@ def _last_visible(screen: Screen, piece: Piece, bends: list[Lanes]) -> Lanes:
     *row_bends, w_bend = bends
     planes = [(screen.floor - error * screen.w_size - nets.top(piece.w), w_bend)]
     for net, half, size, bend in zip(piece.rows[:2], screen.half[:2], screen.sizes[:2], row_bends, strict=True):
-        planes += [(-reach - error * size, bend + half * w_bend) for reach in _reaches(net, piece.w, half)]
+        planes += [(-reach - error * size, bend + half * w_bend) for reach in reaches(net, piece.w, half)]
     last = jnp.full_like(screen.w_size, jnp.inf)
     for outside, bend in planes:
         away = outside > 0
@@ -348,69 +318,28 @@ def _last_visible(screen: Screen, piece: Piece, bends: list[Lanes]) -> Lanes:
     return last
 
 
-def _reaches(net: Net, w: Net, half: Any) -> tuple[Lanes, Lanes]:
-    """How far inside of the planes -half and +half the innermost coefficients are; negative if outside."""
-    return nets.top(nets.each(lambda a, b: half * b + a, net, w)), nets.top(
-        nets.each(lambda a, b: half * b - a, net, w)
-    )
-
-
-def _largest_sum(net: Net, extent: Extent, smooth: Any) -> Lanes:
+def _largest_sum(net: Net, extent: Extent, maxima: Maxima) -> Lanes:
     """At least the largest |uu| + 2 |uv| + |vv|, each over its own coefficients."""
     parts = _plain_hessian(net, extent)
-    tops = [nets.top(nets.each(jnp.abs, part), smooth) if nets.size(part) else None for part in parts]
-    return _sum_of((tops[0], tops[1], tops[2]))
+    tops = [nets.top(nets.each(jnp.abs, part), maxima) if nets.size(part) else None for part in parts]
+    return sum_of_sizes(tops[0], tops[1], tops[2])
 
 
-def _largest_at(ends: tuple[Lanes, Lanes], own: Net, depth: Net, smooth: Any) -> Lanes:
+def _largest_at(ends: tuple[Lanes, Lanes], own: Net, depth: Net, maxima: Maxima) -> Lanes:
     """The largest size of coefficients of own - s depth at both ends of an interval for s."""
-    return largest(
-        [nets.top(nets.each(lambda x, y, s=s: jnp.abs(x - s * y), own, depth), smooth) for s in ends], smooth
-    )
+    return maxima.largest([nets.top(nets.each(lambda x, y, s=s: jnp.abs(x - s * y), own, depth), maxima) for s in ends])
 
 
-def _measured(measure: Callable[..., Lanes], s: Lanes, own: Hessian, depth: Hessian, inverse: Net) -> Net:
-    """The measure of the Hessian of g_s over W, coefficient by coefficient."""
+def _measured(triangles: Triangles, s: Lanes, own: Hessian, depth: Hessian, inverse: Net, maxima: Maxima) -> Net:
+    """What triangles are off by the Hessian of g_s over W, coefficient by coefficient."""
     there = [x is not None for x in own]
 
     def at(i: Lanes, *values: Lanes) -> Lanes:
         pairs = zip(values[::2], values[1::2], strict=True)
         hessian = [None if not given else (lambda x, y: x - s * y)(*next(pairs)) for given in there]
-        return measure(*hessian) * i
+        return triangles.bend(*hessian, maxima=maxima) * i
 
     return nets.each(at, inverse, *(x for pair in zip(own, depth, strict=True) for x in pair if x is not None))
-
-
-def _of_half_cell(a: Any, b: Lanes, c: Any, evenness: Any = 1.0, smooth: Any = None) -> Lanes:
-    """8 times the largest error that a quadratic with this Hessian has on one of the triangles of a unit cell.
-
-    Or of a cell with sides between the evenness and 1: a narrower one has larger errors if a and c cancel less.
-    """
-    if a is None or c is None:
-        return _sum_of((a, b, c), smooth)
-    if smooth is not None:
-        size_a, twist, size_c, together = sizes([a, b + b, c, a + c], smooth)
-        return largest([together + twist, size_a, size_c], smooth)
-    most, together = larger(jnp.abs(a), jnp.abs(c)), jnp.abs(a + c)
-    if not (isinstance(evenness, float) and evenness == 1.0):
-        together = larger(together, most - evenness * evenness * smaller(jnp.abs(a), jnp.abs(c)))
-    return larger(together + jnp.abs(b + b), most)
-
-
-def _of_any_triangle(a: Any, b: Lanes, c: Any) -> Lanes:
-    """The same, or a little more, for any triangle in the cell: largest |a x^2 + 2 b x y + c y^2|, |x|, |y| <= 1."""
-    if a is None or c is None:
-        return _sum_of((a, b, c))
-    b = jnp.abs(b)
-    zero, p, q = jnp.zeros_like(b), jnp.abs(a), jnp.abs(c)
-    saddle = b + larger(p + larger(b - q, zero), q + larger(b - p, zero))
-    return jax.lax.select((a > 0) == (c > 0), p + q + 2.0 * b, saddle)
-
-
-def _sum_of(hessian: tuple[Any, Lanes, Any], smooth: Any = None) -> Lanes:
-    a, b, c = hessian
-    parts = [b + b, *(x for x in (a, c) if x is not None)]
-    return nets.total([jnp.abs(x) for x in parts] if smooth is None else sizes(parts, smooth))
 
 
 def _plain_hessian(net: Net, extent: Extent) -> list[Net]:
@@ -427,12 +356,6 @@ def _hessian(net: Net, extent: Extent) -> Hessian:
     """(uu, uv, vv) times the extents, coefficients of the net's own degrees; None for one that is identically 0."""
     uu, uv, vv = (nets.raised(x, *nets.degrees(net)) if nets.size(x) else None for x in _plain_hessian(net, extent))
     return uu, uv, vv
-
-
-def _image(row: list, *point: Lanes) -> Lanes:
-    """A row of the projection applied to a control point."""
-    affine = [row[3]] if len(point) == 3 else []
-    return nets.total([m * x for m, x in zip(row, point, strict=False)] + affine)
 
 
 def _clip(value: Lanes, limit: Lanes) -> Lanes:

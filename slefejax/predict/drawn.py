@@ -17,7 +17,7 @@ _WORSE = 1.4  # pairs with at most so many times the fewest cells may be chosen
 _AROUND = np.arange(-3, 4)  # levels along v around those that were swept, for every level along u
 _CHOICES = 128
 _RAISED = 4  # an isotropic patch chooses from so many levels from its own on, along u and along v
-_BLOCK = 2**12  # patches whose strips are held at once
+_BLOCK = 2**11  # patches whose strips are held at once
 
 Pairs = Int[np.ndarray, "patches 2"]
 Choices = Int[np.ndarray, "patches choices 2"]
@@ -142,14 +142,12 @@ class Strips:
         length = np.zeros(across.shape)
         for at in range(0, len(seen), _BLOCK):
             own = seen[at : at + _BLOCK]
-            for side in range(4):
-                along = OWN_AXIS[side]
-                nets = strips(certificate.patches[own], side, certificate.pattern.cells(across[own, side]))
-                flat = nets.reshape(-1, *nets.shape[2:])
-                shortest, longest = 0.25 / high[own, along], np.minimum(1.0, 4.0 / low[own, along])
-                ends = [np.repeat(x, widths) for x in (shortest, longest)]
-                found = certificate.longest(flat, np.full(len(flat), along), *ends)
-                length[own, side] = found.reshape(-1, widths)
+            cells = certificate.pattern.cells(across[own])
+            nets = np.stack([strips(certificate.patches[own], side, cells[:, side]) for side in range(4)], axis=1)
+            shortest, longest = 0.25 / high[own][:, OWN_AXIS], np.minimum(1.0, 4.0 / low[own][:, OWN_AXIS])
+            each = [np.broadcast_to(x[..., None], length[own].shape) for x in (OWN_AXIS, shortest, longest)]
+            found = certificate.longest(nets.reshape(-1, *nets.shape[3:]), *(x.ravel() for x in each))
+            length[own] = found.reshape(-1, 4, widths)
         return Strips(across, length)
 
     def longest(self, patch: np.ndarray, side: np.ndarray, across: np.ndarray) -> Float[np.ndarray, "*shape"]:

@@ -23,7 +23,7 @@ from slefejax.predict.certificate import Certificate
 from slefejax.predict.drawn import drawn_levels
 from slefejax.predict.kernel import Kernel, Method, Prepared, Tolerances
 from slefejax.predict.methods import Certified, Knobs, Name, Request, name_of
-from slefejax.predict.verified import Nets, drawn_grids_hold, verified_factors
+from slefejax.predict.verified import Pictured, drawn_grids_hold, verified_factors
 from slefejax.tessellator.edges import check_edge_numbers, edge_maxima, shared_edges
 from slefejax.tessellator.levels import with_pieces
 
@@ -266,9 +266,9 @@ def _settled(factor: Any, request: Request, prepared: Prepared, view: View, edge
     proof = None
     if method.verify:
         # in double precision, whatever the patches are in
-        nets = Nets.of(np.asarray(packed.patches()), Projection.of(view), tolerances)
-        factor = verified_factors(np.asarray(factor), nets)
-        proof = partial(drawn_grids_hold, nets, method.drawn_with)
+        pictured = Pictured.of(np.asarray(packed.patches()), Projection.of(view), tolerances)
+        factor = verified_factors(np.asarray(factor), pictured)
+        proof = partial(drawn_grids_hold, pictured, method.drawn_with)
     certify = _Certify(method, packed, view, tolerances, proof)
     pairs = certify().pairs() if method.anisotropic else None
     return Factors(factor, request, packed, edge_numbers, pairs, certify)

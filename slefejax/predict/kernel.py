@@ -16,7 +16,6 @@ what does not depend on the view is made once a pose: ``prepare`` and ``factor``
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import fields
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
@@ -27,10 +26,10 @@ from jaxtyping import Array, Float
 from slefejax.arguments import Patches
 from slefejax.errors import InputError
 from slefejax.geometry.packed import Packed, pack
-from slefejax.geometry.projection import Projection, harmless, least_distance, positive
+from slefejax.geometry.projection import Projection, least_distance, unless_bad
 from slefejax.geometry.view import View, check_view
-from slefejax.lanes import layout
-from slefejax.predict.estimate import inside_of_tiles
+from slefejax.geometry.volume import on_screen
+from slefejax.lanes import layout, loops, passes
 
 
 class Tolerances(NamedTuple):
@@ -130,10 +129,10 @@ class Kernel:
             factor = formula.kernel(control, projection, tolerances)
             return jnp.where(on_screen(control, projection), factor, 0.0)
 
-        return layout.over_chunks(unless_bad(visible), seen[0], projection, tolerances, self)
+        return loops.over_chunks(unless_bad(visible), seen[0], projection, tolerances, self)
 
 
-@layout.as_pass()
+@passes.as_pass()
 def view_pass(
     seen: tuple[Any, Any, Any], projection: Projection, formula: Any, tolerances: Tolerances
 ) -> Float[Array, "chunks lanes"]:
@@ -157,20 +156,3 @@ def _out_of_range(formula: Any, tolerances: Tolerances, projection: Projection) 
         bad |= ~(number > 0)
     smooth = getattr(formula, "smooth", None)
     return jnp.asarray(bad if smooth is None else bad | ~(smooth <= 1))
-
-
-def on_screen(control: Any, projection: Projection) -> Any:
-    """Whether the box around the control points reaches into the view volume."""
-    low, high = jnp.min(control, axis=(0, 1)), jnp.max(control, axis=(0, 1))
-    low, high = (jnp.broadcast_to(bound, (2, 2, *bound.shape)) for bound in (low, high))
-    return inside_of_tiles(low, high, projection.frustum)[0][0] >= 0
-
-
-def unless_bad(kernel: Callable[..., Any]) -> Callable[..., Any]:
-    """The kernel for points in the world, with NaN for harmful patches: its selects would hide them."""
-
-    def checked(control: Any, projection: Projection, *arguments: Any) -> Any:
-        found = kernel(projection.relative(control), projection, *arguments)
-        return jnp.where(harmless(control, projection) & positive(control), found, jnp.nan)
-
-    return checked

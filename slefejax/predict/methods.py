@@ -23,6 +23,7 @@ from slefejax.arguments import (
     Patches,
     Segments,
     check_positive,
+    check_temperature,
     check_whole,
     did_you_mean,
     imported,
@@ -31,11 +32,12 @@ from slefejax.arguments import (
 )
 from slefejax.errors import InputError
 from slefejax.geometry.projection import Projection, harmless, positive
-from slefejax.lanes import layout
+from slefejax.lanes import loops
+from slefejax.lanes.maxima import Maxima, maxima_of
 from slefejax.lanes.plain import plain
 from slefejax.predict.certified import certified_factors
-from slefejax.predict.estimate import Boxes, factor_of_boxes, slefe_factor, slefe_factors
-from slefejax.predict.kernel import Kernel, Method, Prepared, Tolerances, unless_bad
+from slefejax.predict.estimate import Boxes, Scales, factor_of_boxes, slefe_factor, slefe_factors
+from slefejax.predict.kernel import Kernel, Method, Prepared, Tolerances
 from slefejax.predict.rules import EdgeLength, Filip, Fixed, Minmax, ScreenBox
 from slefejax.tessellator.rings import Pattern, direct3d11
 
@@ -92,6 +94,11 @@ class Certified(Kernel):
         return replace(self, anisotropic=False, verify=False)
 
     @property
+    def maxima(self) -> Maxima:
+        """Soft ones of the temperature, or exact ones."""
+        return maxima_of(self.smooth)
+
+    @property
     def drawn_with(self) -> Pattern:
         """The pattern of the tessellator."""
         return self.pattern or direct3d11()
@@ -112,8 +119,8 @@ class Certified(Kernel):
 
     def over(self, seen: tuple[Any, Any, Any], projection: Projection, tolerances: Tolerances) -> Any:
         """Of all chunks at once: derivatives have loops of their own (``slefejax.predict.certified``)."""
-        factor: Any = certified_factors(seen[0], projection, (*tolerances, self.smooth), self.tiles)
-        fine = layout.over_chunks(_harmless_over_scales, seen[0], projection, *tolerances)
+        factor: Any = certified_factors(seen[0], projection, tolerances, self.maxima, tiles=self.tiles)
+        fine = loops.over_chunks(_harmless_over_scales, seen[0], projection, *tolerances)
         return jnp.where(fine, factor, jnp.nan)
 
 
@@ -143,6 +150,11 @@ class Slefe(Kernel):
         check_temperature(self.smooth)
 
     @property
+    def maxima(self) -> Maxima:
+        """Soft ones of the temperature, or exact ones."""
+        return maxima_of(self.smooth)
+
+    @property
     def formula(self) -> Slefe:
         """With a pair of segments."""
         return replace(self, segments=segment_pair(self.segments))
@@ -166,19 +178,18 @@ class Slefe(Kernel):
         first = first[:3] / (first[3] if packed.dimension == 4 else 1.0)
         digits, power = xp.frexp(xp.where(xp.isfinite(first), first, xp.zeros_like(first)))
         origin = xp.ldexp(xp.round(digits * 2.0**_ORIGIN_BITS), power - _ORIGIN_BITS).astype(packed.dtype)
-        return Prepared(packed, Boxes.of(packed.chunks, origin, segment_pair(self.segments), self.smooth))
+        return Prepared(packed, Boxes.of(packed.chunks, origin, segment_pair(self.segments), self.maxima))
 
     def over(self, seen: tuple[Any, Any, Any], projection: Projection, tolerances: Tolerances) -> Any:
         """Of boxes that are there, or that are made on the way."""
         packed, lower, _ = seen
-        segments, scales = segment_pair(self.segments), (*tolerances, self.k)
+        segments, scales = segment_pair(self.segments), Scales(*tolerances, self.k)
         if lower is not None:
             kernel = partial(_from_boxes, segments=segments)
-            return layout.over_chunks(kernel, (*seen[1:], packed), projection, *scales, self.smooth)
+            return loops.over_chunks(kernel, (*seen[1:], packed), projection, scales, self.maxima)
         if packed.shape[3] == 3 and self.smooth is None:
-            return slefe_factors(packed, projection, scales, segments)
-        kernel = unless_bad(partial(slefe_factor, segments=segments))
-        return layout.over_chunks(kernel, packed, projection, *scales, self.smooth)
+            return slefe_factors(packed, projection, scales, segments=segments)
+        return slefe_factor(packed, projection, scales, self.maxima, segments=segments)
 
 
 METHODS: dict[str, type[Kernel]] = {
@@ -308,32 +319,18 @@ def _made(cls: type, name: str, given: dict[str, Any], unknown: list[str]) -> An
     return found
 
 
-def check_temperature(smooth: Any) -> None:
-    """InputError unless this is a temperature of soft maxima, or None."""
-    if smooth is None:
-        return
-    if isinstance(smooth, bool):
-        raise InputError("smooth is a temperature, such as 0.01, and not yes or no", options=("smooth",))
-    check_positive("smooth", smooth)
-    if not isinstance(smooth, Tracer) and float(smooth) > 1.0:
-        raise InputError(
-            f"smooth is a temperature of at most 1, not {smooth}: 0.01 or less is close to the maximum",
-            options=("smooth",),
-        )
-
-
 def _no_depth(tolerances: Tolerances) -> tuple[str, ...]:
     return ("depth widths: no depth tolerance was given",) if tolerances.depth is None else ()
 
 
-def _from_boxes(seen: Any, projection: Projection, *scales: Any, segments: tuple[int, int]) -> Any:
+def _from_boxes(seen: Any, projection: Projection, scales: Scales, maxima: Maxima, segments: tuple[int, int]) -> Any:
     lower, upper, control = seen
     # boxes of control points that are not finite are not finite either
     fine = harmless(lower, projection) & harmless(upper, projection)
     if control is not None:
         fine &= positive(control)
         control = projection.relative(control)
-    factor = factor_of_boxes((lower, upper), control, projection, *scales, segments=segments)
+    factor = factor_of_boxes((lower, upper), control, projection, scales, maxima, segments)
     return jnp.where(fine, factor, jnp.nan)
 
 

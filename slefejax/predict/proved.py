@@ -68,13 +68,16 @@ def _rings_keep(
     reach = certificate.pattern.fine_reach if in_pieces else certificate.pattern.reach
     length = (reach[n, m] + 2.0 / ONE) / along  # a little more, for what single precision makes of them
     for start in range(0, len(open_ones), _BLOCK):
+        # one side after the other, so that all of a block are one call
         block = open_ones[start : start + _BLOCK]
-        for which in range(4):
-            own = block[side[block] == which]
+        by_side = [block[side[block] == which] for which in range(4)]
+        nets = []
+        for which, own in enumerate(by_side):
             across = np.maximum(inner[patch[own], 1 - OWN_AXIS[which]], 2)
-            nets = strips(certificate.patches[patch[own]], which, certificate.pattern.cells(across)[:, None])[:, 0]
-            axis = np.full(len(own), OWN_AXIS[which])
-            holds[own] = certificate.triangles_keep(nets, axis, length[own])
+            width = certificate.pattern.cells(across)[:, None]
+            nets.append(strips(certificate.patches[patch[own]], which, width)[:, 0])
+        own = np.concatenate(by_side)
+        holds[own] = certificate.triangles_keep(np.concatenate(nets), OWN_AXIS[side[own]], length[own])
     return holds
 
 

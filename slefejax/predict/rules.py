@@ -17,12 +17,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from slefejax.arguments import Number, check_positive
+from slefejax.bounds.screen import rational_boxes
 from slefejax.bounds.slefe import enclose_patch
 from slefejax.errors import InputError
 from slefejax.geometry.projection import Projection
 from slefejax.lanes.maxima import at_least, larger, largest_along, root, smallest_along
 from slefejax.lanes.plain import plain
-from slefejax.predict.estimate import rational_boxes
 from slefejax.predict.kernel import Kernel, Tolerances
 
 Control = Float[Array, "nu nv dim lanes"]
@@ -57,7 +57,7 @@ class Filip(Kernel):
             reach = reach + (d * (d - 1) * _longest(first) if d > 1 else 0.0)
         rows = projection.to_pixels
         steepness = [_norm(rows[r, :3]) + projection.half[r] * _norm(rows[3, :3]) for r in (0, 1)]
-        w = smallest_along(_undivided(control, projection)[3], (0, 1))
+        w = smallest_along(projection.undivided(control)[3], (0, 1))
         pixels = larger(*steepness) / at_least(w, projection.near_w) * reach / 8.0
         return jnp.sqrt(at_least(pixels / tolerances.pixels, 1.0))
 
@@ -135,15 +135,8 @@ class Fixed(_WithSetting):
         return jnp.full(control.shape[-1], self.setting, control.dtype)
 
 
-def _undivided(control: Control, projection: Projection) -> list[Any]:
-    """X, Y, Z, W of the control points, in undivided pixels from the picture's centre."""
-    parts = range(control.shape[2])
-    last = 0.0 if len(parts) == 4 else 1.0
-    return [sum(row[a] * control[:, :, a] for a in parts) + last * row[3] for row in projection.to_pixels]
-
-
 def _projected(control: Control, projection: Projection) -> tuple[Any, Any]:
-    x, y, _, w = _undivided(control, projection)
+    x, y, _, w = projection.undivided(control)
     w = at_least(w, projection.near_w)
     return x / w, y / w
 

@@ -7,7 +7,7 @@ lattice, so that its values there are its largest. Nothing is sampled in the sen
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -16,9 +16,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from slefejax.geometry.bezier import bernstein, combine, derivative
-from slefejax.geometry.projection import Projection
+from slefejax.geometry.projection import Projection, reaches, undivided
 from slefejax.geometry.view import homogeneous
-from slefejax.lanes import layout
+from slefejax.lanes import layout, loops, nets, passes
 from slefejax.lanes.maxima import larger
 from slefejax.tessellator.levels import GRID, HIGHEST_LEVEL, shares
 from slefejax.tessellator.rings import Pattern
@@ -30,7 +30,7 @@ _BATCH = 2**15  # cells at once
 _ROUNDING = 256.0 * np.finfo(np.float64).eps
 
 
-class Nets(NamedTuple):
+class Pictured(NamedTuple):
     """Patches on the screen, float64, patches last; rows X, Y and Z over their tolerances, W."""
 
     control: np.ndarray  # (nu, nv, 4, patches)
@@ -41,13 +41,13 @@ class Nets(NamedTuple):
     rows: int  # 3 with a depth tolerance, else 2
 
     @staticmethod
-    def of(patches: np.ndarray, projection: Projection, tolerances: tuple[Any, Any]) -> Nets:
+    def of(patches: np.ndarray, projection: Projection, tolerances: tuple[Any, Any]) -> Pictured:
         """From control points in the world."""
         depth = 1.0 if tolerances[1] is None else float(tolerances[1])
         scale = 1.0 / np.array([float(tolerances[0]), float(tolerances[0]), depth, 1.0])
         matrix = np.asarray(projection.to_pixels, np.float64) * scale[:, None]
         points = projection.relative(np.moveaxis(homogeneous(np.asarray(patches, np.float64)), 0, -1))
-        control = np.einsum("rc,uvcp->uvrp", matrix, points)
+        control = np.stack(undivided(matrix, nets.coordinates(points, unrolled=False)), axis=2)
         largest = np.abs(points).max(axis=(0, 1))
         if patches.shape[-1] == 4:
             # coordinates times weights were taken off
@@ -55,7 +55,7 @@ class Nets(NamedTuple):
         sizes = np.einsum("rc,cp->rp", np.abs(matrix), largest)
         half = np.asarray(projection.half, np.float64) * scale[:3]
         floor = float(projection.near_w) * points[:, :, 3].min(axis=(0, 1))
-        return Nets(control, half, _bends(control), sizes, floor, 2 if tolerances[1] is None else 3)
+        return Pictured(control, half, _bends(control), sizes, floor, 2 if tolerances[1] is None else 3)
 
 
 def _bends(control: np.ndarray) -> np.ndarray:
@@ -69,7 +69,7 @@ def _bends(control: np.ndarray) -> np.ndarray:
     return sum(times * np.abs(part).max(axis=(0, 1), initial=0.0) for times, part in parts) / 8.0  # type: ignore
 
 
-def verified_factors(factor: Float[np.ndarray, "patches"], nets: Nets) -> Float[np.ndarray, "patches"]:
+def verified_factors(factor: Float[np.ndarray, "patches"], pictured: Pictured) -> Float[np.ndarray, "patches"]:
     """Certified factors, or the smallest whole numbers from which on every grid up to them is proved fine.
 
     Grids are tried from the certified one downwards until one cannot be proved.
@@ -78,7 +78,7 @@ def verified_factors(factor: Float[np.ndarray, "patches"], nets: Nets) -> Float[
     trial = np.ceil(factor).astype(np.int64) - 1
     open_ones = np.flatnonzero((trial >= 1) & (factor <= _HIGHEST))
     for _ in range(_TRIED):
-        fine = grids_hold(nets, open_ones, np.repeat(trial[open_ones, None], 2, axis=1))
+        fine = grids_hold(pictured, open_ones, np.repeat(trial[open_ones, None], 2, axis=1))
         open_ones = open_ones[fine]
         factor[open_ones] = trial[open_ones]
         trial[open_ones] -= 1
@@ -87,7 +87,11 @@ def verified_factors(factor: Float[np.ndarray, "patches"], nets: Nets) -> Float[
 
 
 def drawn_grids_hold(
-    nets: Nets, pattern: Pattern, patch: Int[np.ndarray, "n"], levels: Int[np.ndarray, "n 2"], in_pieces: bool = False
+    pictured: Pictured,
+    pattern: Pattern,
+    patch: Int[np.ndarray, "n"],
+    levels: Int[np.ndarray, "n 2"],
+    in_pieces: bool = False,
 ) -> Bool[np.ndarray, "n"]:
     """Whether grids are proved to keep the tolerances, both with equal cells and as the tessellator draws them.
 
@@ -96,7 +100,7 @@ def drawn_grids_hold(
     holds = np.all(levels <= HIGHEST_LEVEL, axis=1)
     for points in (_fine_points() if in_pieces else pattern.points, None):
         open_ones = np.flatnonzero(holds)
-        holds[open_ones] = grids_hold(nets, patch[open_ones], levels[open_ones], points)
+        holds[open_ones] = grids_hold(pictured, patch[open_ones], levels[open_ones], points)
     return holds
 
 
@@ -108,7 +112,7 @@ def _fine_points() -> Float[np.ndarray, "n lines"]:
 
 
 def grids_hold(
-    nets: Nets, patch: Int[np.ndarray, "n"], levels: Int[np.ndarray, "n 2"], points: np.ndarray | None = None
+    pictured: Pictured, patch: Int[np.ndarray, "n"], levels: Int[np.ndarray, "n 2"], points: np.ndarray | None = None
 ) -> Bool[np.ndarray, "n"]:
     """Whether patches cut into that many cells along u and v, with either diagonal, are proved to keep the tolerances.
 
@@ -126,7 +130,7 @@ def grids_hold(
             continue
         cell = np.stack(np.divmod(index - (ends[which] - counts[which]), levels[which, 1]), axis=1)
         low, high = (_line(cell + k, levels[which], points) for k in (0, 1))
-        np.logical_and.at(holds, which, _cells_hold(nets, patch[which], low, high - low))
+        np.logical_and.at(holds, which, _cells_hold(pictured, patch[which], low, high - low))
     return holds
 
 
@@ -134,19 +138,16 @@ def _line(index: np.ndarray, levels: np.ndarray, points: np.ndarray | None) -> n
     return index / levels if points is None else points[levels, index]
 
 
-def _cells_hold(nets: Nets, patch: np.ndarray, low: np.ndarray, sides: np.ndarray) -> np.ndarray:
+def _cells_hold(pictured: Pictured, patch: np.ndarray, low: np.ndarray, sides: np.ndarray) -> np.ndarray:
     with jax.enable_x64(True):
         lanes = np.column_stack([patch, low, sides]).astype(np.float64)
-        arrays = [jnp.asarray(x) for x in nets[:5]]
-        return layout.through(lambda packed: _cells_pass(packed, *arrays, nets.rows), lanes)
+        arrays = [jnp.asarray(x) for x in pictured[:5]]
+        return layout.through(lambda packed: _cells_pass(packed, *arrays, pictured.rows), lanes)
 
 
-@layout.as_pass(6)
+@passes.as_pass(6)
 def _cells_pass(packed: Any, control: Any, half: Any, bends: Any, sizes: Any, floor: Any, rows: int) -> Any:
-    def kernel(lanes: Any) -> Any:
-        return _cell_holds(lanes, control, half, bends, sizes, floor, rows)
-
-    return layout.over_chunks(kernel, packed)
+    return loops.over_chunks(partial(_cell_holds, rows=rows), packed, control, half, bends, sizes, floor)
 
 
 def _cell_holds(lanes: Any, control: Any, half: Any, bends: Any, sizes: Any, floor: Any, rows: int) -> Any:
@@ -183,11 +184,13 @@ def _cell_holds(lanes: Any, control: Any, half: Any, bends: Any, sizes: Any, flo
 
 def _outside(points: Any, half: Any, size: Any) -> Any:
     """Whether the corners of a cell, hence all points drawn of it, lie outside of one plane of the view volume."""
-    corners = points[:, :: points.shape[1] - 1, :: points.shape[2] - 1]
-    reach = half[:, None, None, None] * corners[3]
-    rounding = (_ROUNDING * (size[:3] + half[:, None] * size[3]))[:, None, None]
-    sides = jnp.concatenate([reach - corners[:3] + rounding, reach + corners[:3] + rounding])
-    return jnp.any(jnp.all(sides < 0, axis=(1, 2)), axis=0)
+    *rows, w = points[:, :: points.shape[1] - 1, :: points.shape[2] - 1]
+    sides = [
+        reach + _ROUNDING * (size[k] + half[k] * size[3]) < 0
+        for k, row in enumerate(rows)
+        for reach in reaches(row, w, half[k])
+    ]
+    return jnp.any(jnp.stack(sides), axis=0)
 
 
 def _tensor(control: Any, u: Any, v: Any) -> Any:

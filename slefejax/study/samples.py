@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from slefejax.arguments import Number, Patches, check_patches, check_positive, check_segments
+from slefejax.bounds.widths import screen_twists, screen_widths
 from slefejax.errors import InputError
 from slefejax.geometry.view import View, check_views
 from slefejax.measure.minimal import minimal_factors
 from slefejax.measure.supremum import sampled_error
-from slefejax.predict.widths import screen_twists, screen_widths
 
 TWIST = "twist"
 

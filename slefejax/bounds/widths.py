@@ -10,16 +10,16 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from slefejax.arguments import Number, Patches, Segments, segment_pair
+from slefejax.arguments import Number, Patches, Segments, check_temperature, segment_pair
+from slefejax.bounds.screen import visible_widths
 from slefejax.bounds.slefe import enclose_patch
 from slefejax.errors import InputError
 from slefejax.geometry.packed import pack
-from slefejax.geometry.projection import Projection, positive
+from slefejax.geometry.projection import Projection, unless_bad
 from slefejax.geometry.view import View, check_view
-from slefejax.lanes import layout
-from slefejax.lanes.maxima import largest_along
-from slefejax.predict.estimate import visible_widths
-from slefejax.predict.methods import check_temperature
+from slefejax.geometry.volume import inside_of_tiles
+from slefejax.lanes import layout, loops, passes
+from slefejax.lanes.maxima import Maxima, largest_along, maxima_of
 
 
 def screen_widths(
@@ -56,36 +56,28 @@ def _over_patches(patches: Patches, view: View, smooth: Any, segments: Any) -> A
     packed = pack(patches)
     check_view(view)
     chunks, projection = packed.placed(view)
-    smooth = None if smooth is None else jnp.asarray(smooth, packed.dtype)
-    found = layout.unpack(_pass(chunks, projection, smooth, segments), len(packed))
+    maxima = maxima_of(None if smooth is None else jnp.asarray(smooth, packed.dtype))
+    found = layout.unpack(_pass(chunks, projection, maxima, segments), len(packed))
     bad = [] if isinstance(found, Tracer) else np.flatnonzero(~np.isfinite(np.asarray(found)))
     if len(bad):
         raise InputError(f"patch {bad[0]} (counted from 0) has control points that are not finite, or too large")
     return found
 
 
-@layout.as_pass(3)
-def _pass(packed: Any, projection: Projection, smooth: Any, segments: Any) -> Any:
-    kernel = _twist if segments is None else partial(_width, segments=segments)
-
-    def finite(control: Any, projection: Projection, smooth: Any) -> Any:
-        fine = jnp.all(jnp.isfinite(control), axis=(0, 1, 2)) & positive(control)
-        return jnp.where(fine, kernel(projection.relative(control), projection, smooth), jnp.nan)
-
-    return layout.over_chunks(finite, packed, projection, smooth)
+@passes.as_pass(3)
+def _pass(packed: Any, projection: Projection, maxima: Maxima, segments: Any) -> Any:
+    kernel = _twist if segments is None else partial(_width, maxima=maxima, segments=segments)
+    return loops.over_chunks(unless_bad(kernel), packed, projection)
 
 
-def _width(control: Any, projection: Projection, smooth: Any, segments: tuple[int, int]) -> Any:
-    boxes = enclose_patch(control, segments, smooth)
-    width, _, seen = visible_widths(boxes, control, projection, smooth, segments, with_depth=False)
-    return jnp.where(seen, width, 0.0)
+def _width(control: Any, projection: Projection, maxima: Maxima, segments: tuple[int, int]) -> Any:
+    boxes = enclose_patch(control, segments, maxima)
+    found = visible_widths(boxes, control, projection, maxima, segments, with_depth=False)
+    return jnp.where(found.seen, found.pixels, 0.0)
 
 
-def _twist(control: Any, projection: Projection, _: Any) -> Any:
-    last = 0.0 if control.shape[2] == 4 else 1.0
-    rows = [
-        sum(row[a] * control[:, :, a] for a in range(control.shape[2])) + last * row[3] for row in projection.to_pixels
-    ]
+def _twist(control: Any, projection: Projection) -> Any:
+    rows = projection.undivided(control)
     mixed = [jnp.diff(jnp.diff(row, axis=0), axis=1) for row in rows]
     middle = [0.25 * (row[1:, 1:] + row[1:, :-1] + row[:-1, 1:] + row[:-1, :-1]) for row in rows]
     w = jnp.maximum(middle[3], projection.near_w)
@@ -94,6 +86,5 @@ def _twist(control: Any, projection: Projection, _: Any) -> Any:
         for r in (0, 1)
     ]
     scale = 0.25 * (control.shape[0] - 1) * (control.shape[1] - 1)
-    boxes = enclose_patch(control, (1, 1))
-    seen = visible_widths(boxes, control, projection, None, (1, 1), with_depth=False)[2]
+    seen = inside_of_tiles(*enclose_patch(control, (1, 1)), projection.frustum)[0, 0] >= 0
     return jnp.where(seen, scale * largest_along(jnp.maximum(*sides), (0, 1)), 0.0)

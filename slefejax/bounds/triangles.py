@@ -1,0 +1,70 @@
+"""Which triangles a bound is for, and how far they are off for given derivatives (docs/certified.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from slefejax.lanes import nets
+from slefejax.lanes.maxima import EXACT, Maxima, larger, smaller
+from slefejax.lanes.nets import Lanes
+
+Extent = tuple[Any, Any]  # sides of the box that holds a triangle, in units of 1/n, along u and v
+_CUBIC = 1.0 / (12.0 * 27.0**0.5)  # the largest (1 - z^2) z / 24
+
+
+@dataclass(frozen=True)
+class HalfCells:
+    """Halves, along either diagonal, of boxes with sides from ``evenness`` times extent/n to extent/n."""
+
+    extent: Extent = (1.0, 1.0)
+    evenness: Any = 1.0
+
+    def bend(self, a: Any, b: Lanes, c: Any, maxima: Maxima = EXACT) -> Lanes:
+        """8 times the largest error that a quadratic with Hessian (a, b, c) has on such a half; None for what is 0.
+
+        A narrower box has larger errors if a and c cancel less.
+        """
+        if a is None or c is None:
+            return sum_of_sizes(a, b, c, maxima)
+        size_a, twist, size_c, together = maxima.sizes([a, b + b, c, a + c])
+        if not (isinstance(self.evenness, float) and self.evenness == 1.0):
+            less = self.evenness * self.evenness * smaller(size_a, size_c)
+            together = larger(together, larger(size_a, size_c) - less)
+        return maxima.largest([together + twist, size_a, size_c])
+
+    def third(self, along_u: Lanes, along_v: Lanes, maxima: Maxima = EXACT) -> tuple[Lanes, Lanes | None]:
+        """What third derivatives add, over n^3, and what the second derivatives count as at least, over n W."""
+        more = maxima.largest([along_u, along_v])
+        return (_CUBIC - 1.0 / 288.0) * more + (along_u + along_v) / 288.0, more
+
+
+@dataclass(frozen=True)
+class AnyTriangle:
+    """Triangles of any shape that lie in boxes with sides of at most extent/n."""
+
+    extent: Extent = (1.0, 1.0)
+
+    def bend(self, a: Any, b: Lanes, c: Any, maxima: Maxima = EXACT) -> Lanes:
+        """8 times that error, or a little more: the largest abs(a x^2 + 2 b x y + c y^2) for sizes x, y up to 1."""
+        if a is None or c is None:
+            return sum_of_sizes(a, b, c, maxima)
+        b = jnp.abs(b)
+        zero, p, q = jnp.zeros_like(b), jnp.abs(a), jnp.abs(c)
+        saddle = b + larger(p + larger(b - q, zero), q + larger(b - p, zero))
+        return jax.lax.select((a > 0) == (c > 0), p + q + 2.0 * b, saddle)
+
+    def third(self, along_u: Lanes, along_v: Lanes, maxima: Maxima = EXACT) -> tuple[Lanes, Lanes | None]:
+        """As of ``HalfCells``."""
+        return (along_u + along_v) / 48.0, None
+
+
+Triangles = HalfCells | AnyTriangle
+
+
+def sum_of_sizes(a: Any, b: Lanes, c: Any, maxima: Maxima = EXACT) -> Lanes:
+    """abs(a) + 2 abs(b) + abs(c); None for what is 0."""
+    return nets.total(maxima.sizes([b + b, *(x for x in (a, c) if x is not None)]))

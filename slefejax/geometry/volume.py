@@ -1,0 +1,61 @@
+"""Which boxes reach into the view volume: the test of [YBP12], section 6, without a division."""
+
+from __future__ import annotations
+
+from itertools import chain
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from slefejax.geometry.projection import Projection, numbers
+from slefejax.lanes import nets
+from slefejax.lanes.maxima import larger, smaller
+from slefejax.lanes.nets import Net
+from slefejax.lanes.tuning import TUNING
+
+
+def inside_of_tiles(lower: Any, upper: Any, frustum: Float[Array, "6 4"]) -> Net:
+    """The Q-test: at least 0 for every tile, unless its four boxes lie outside of one and the same plane.
+
+    Where W > 0 this is the test of the rectangle Q against the screen ([YBP12], section 6), with near and far added;
+    it needs no division, so it holds for boxes at and behind the camera too.
+    """
+    unrolled = few(lower)
+    ends = zip(nets.coordinates(lower, unrolled), nets.coordinates(upper, unrolled), strict=True)
+    boxes = [
+        (nets.each(lambda a, b: 0.5 * (a + b), low, high), nets.each(lambda a, b: 0.5 * (b - a), low, high))
+        for low, high in ends
+    ]
+    inside: Net | None = None
+    for plane, sizes in zip(numbers(frustum), numbers(jnp.abs(frustum)), strict=True):
+        weights = [weight for pair in zip(plane, sizes, strict=True) for weight in pair]
+        # homogeneous points bring their own last coordinate
+        start = [] if len(boxes) == 4 else [plane[3]]
+
+        def reach(*parts: Any, weights: Any = weights, start: Any = start) -> Any:
+            return nets.total([*start, *(weight * part for weight, part in zip(weights, parts, strict=False))])
+
+        furthest = tile_maxima(nets.each(reach, *chain(*boxes)))
+        inside = furthest if inside is None else nets.each(smaller, inside, furthest)
+    assert inside is not None
+    return inside
+
+
+def tile_maxima(net: Net) -> Net:
+    """The largest of the values at the four corners of every tile."""
+    for _ in ("u", "v"):
+        net = nets.transposed(nets.each(larger, net[:-1], net[1:]))
+    return net
+
+
+def few(grid: Any) -> bool:
+    """Whether a grid is few enough boxes for one after the other, of which the compiler makes faster code."""
+    return grid.shape[0] * grid.shape[1] <= TUNING.unrolled_boxes
+
+
+def on_screen(control: Any, projection: Projection) -> Any:
+    """Whether the box around the control points reaches into the view volume."""
+    low, high = jnp.min(control, axis=(0, 1)), jnp.max(control, axis=(0, 1))
+    low, high = (jnp.broadcast_to(bound, (2, 2, *bound.shape)) for bound in (low, high))
+    return inside_of_tiles(low, high, projection.frustum)[0, 0] >= 0

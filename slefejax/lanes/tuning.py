@@ -1,0 +1,55 @@
+"""How kernels run: every number that another machine may want otherwise. But for rounding none changes results."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Measured on CPUs of two kinds (docs/layout.md).
+
+    lanes                 : patches of a chunk, whose arrays the cache holds
+    fewest_lanes          : of a chunk
+    fewest_chunks         : at all. There are no loops over one chunk: XLA makes straight code of it, which takes twice
+                            as long in gradients
+    few_chunks            : up to so many their number is rounded up to two sizes an octave, then to eight
+    fewest_shared         : chunks for a core: with fewer of them threads cost more than they save
+    blocks                : items of a call of which every call has another number
+    most_maps             : of the 65,530 mappings of memory that Linux allows
+    unrolled_coefficients : of a control net, one array each
+    unrolled_boxes        : of slefes, one array each
+    unrolled_entries      : of a slefe's table, one number each
+    unrolled_sums         : numbers of a control net whose sizes are added one by one
+    unrolled_weights      : of a stencil
+    many_nets             : from so many on unrolled code, which takes three times as long to compile, is worth it
+    compiler_options      : by the backend's name. CPUs with registers of 512 bits are told to use them: up to a fifth
+                            faster than what the compiler prefers. What loops over the tiles of a chunk could have in
+                            common stays inside of them: to load a hundred arrays takes longer
+    """
+
+    lanes: int = 2048
+    fewest_lanes: int = 16
+    fewest_chunks: int = 2
+    few_chunks: int = 16
+    fewest_shared: int = 2
+    blocks: tuple[int, ...] = (128, 1024, 8192)
+    most_maps: int = 40_000
+    unrolled_coefficients: int = 16
+    unrolled_boxes: int = 25
+    unrolled_entries: int = 32
+    unrolled_sums: int = 128
+    unrolled_weights: int = 32
+    many_nets: int = 30_000
+    compiler_options: dict[str, dict[str, Any]] = field(
+        default_factory=lambda: {
+            "cpu": {
+                "xla_cpu_prefer_vector_width": 512,
+                "xla_disable_hlo_passes": "while-loop-invariant-code-motion",
+            }
+        }
+    )
+
+
+TUNING = Tuning()

@@ -1,0 +1,50 @@
+"""Where surfaces really are on the screen: the one projection of everything that measures, in float64."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from slefejax.errors import InputError
+from slefejax.geometry.view import View, homogeneous
+
+UNSEEN = -1.0
+
+
+def undivided(patches: np.ndarray, view: View) -> Any:
+    """Control points ``(du+1, dv+1, 4, patches)``: X/W, Y/W pixels from the lower left corner, Z/W window depth.
+
+    Made once, not for every block of what is looked at.
+    """
+    control = homogeneous(np.asarray(patches, np.float64)) @ np.asarray(view.world_to_screen).T
+    with jax.enable_x64(True):
+        return jax.device_put(np.ascontiguousarray(np.moveaxis(control, 0, -1)))
+
+
+class Surface(NamedTuple):
+    """Patches in undivided screen coordinates: X/W, Y/W pixels, Z/W window depth, as ``(du+1, dv+1, 4, patches)``."""
+
+    control: Any
+    size: Any  # width and height of the picture in pixels
+
+    @staticmethod
+    def of(patches: np.ndarray, view: View) -> Surface:
+        """In float64. Raises InputError for a view that is none, or for control points that are not finite."""
+        if not isinstance(view, View):
+            raise InputError(f"the view must be a slefejax.View, not {type(view).__name__}")
+        bad = np.flatnonzero(~np.isfinite(np.asarray(patches)).all(axis=(1, 2, 3)))
+        if bad.size:
+            raise InputError(f"patch {bad[0]} (counted from 0) has control points that are not finite numbers")
+        return Surface(undivided(patches, view), np.array([view.width, view.height], np.float64))
+
+
+def distance(exact: Any, drawn: Any, size: Any) -> Any:
+    """Of undivided screen points ``(4, ...)``: max(|dx|, |dy|) in pixels; -1 where the drawn one is not visible."""
+    x, y, z, w = drawn
+    visible = (w > 0) & (x >= 0) & (x <= size[0] * w) & (y >= 0) & (y <= size[1] * w) & (z >= 0) & (z <= w)
+    w, true_w = jnp.where(visible, w, 1.0), jnp.where(exact[3] > 0, exact[3], 1.0)
+    far = jnp.maximum(jnp.abs(exact[0] / true_w - x / w), jnp.abs(exact[1] / true_w - y / w))
+    return jnp.where(visible, jnp.where(exact[3] > 0, far, jnp.inf), UNSEEN)
