@@ -31,11 +31,11 @@ LADDER = (
 )
 # column and row of the picture, from below; what nearly everything imports, errors and the like, is left out
 SHOWN = {
-    "lanes": (1.5, 0),
-    "geometry": (1.5, 1),
+    "lanes": (2.4, 0),
+    "geometry": (2.4, 1),
     "tessellator": (0.9, 2),
     "bounds": (2.0, 2),
-    "model": (3.3, 2),
+    "model": (3.95, 2),
     "conversion": (2.8, 3),
     "io": (3.9, 3),
     "data": (3.35, 4),

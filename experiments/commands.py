@@ -10,28 +10,29 @@ from typing import Annotated, Any
 from tyro.conf import subcommand
 
 COMMANDS = {
-    "minimality": "Minimality",
-    "factors": "FactorsOfScene",
-    "inspect": "Inspect",
-    "animate": "Animate",
-    "certify": "Certify",
-    "fit-km": "FitKm",
-    "budget": "BudgetOfScene",
-    "sensitivity": "SensitivityOfScene",
-    "optimise": "Optimise",
-    "error-time": "ErrorTime",
-    "scaling": "Scaling",
-    "tightness": "Tightness",
-    "stability": "Stability",
-    "attack": "Attack",
-    "bench": "Bench",
-    "doctor": "Doctor",
+    "minimality": "studies.minimality:Minimality",
+    "factors": "checks.factors:FactorsOfScene",
+    "inspect": "checks.inspect:Inspect",
+    "animate": "studies.animate:Animate",
+    "certify": "studies.certify:Certify",
+    "fit-km": "studies.fit_km:FitKm",
+    "budget": "moves.budget:BudgetOfScene",
+    "sensitivity": "moves.sensitivity:SensitivityOfScene",
+    "optimise": "moves.optimise:Optimise",
+    "error-time": "studies.error_time:ErrorTime",
+    "scaling": "bench.scaling:Scaling",
+    "tightness": "checks.tightness:Tightness",
+    "stability": "checks.stability:Stability",
+    "attack": "attack.attack:Attack",
+    "bench": "bench.bench:Bench",
+    "doctor": "checks.doctor:Doctor",
 }
 
 
 def command_of(name: str) -> Any:
     """The class of a command. Its module is imported only now: all of them take longer than a short command."""
-    return getattr(import_module(f"slefejax.experiments.{name.replace('-', '_')}"), COMMANDS[name])
+    module, _, command = COMMANDS[name].partition(":")
+    return getattr(import_module(f"slefejax.experiments.{module}"), command)
 
 
 def all_commands() -> Any:

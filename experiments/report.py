@@ -18,7 +18,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from slefejax.experiments.store import strict
+from slefejax.experiments.tables import strict
 
 MOST_ROWS = 60
 _LONG = 40  # of a text that may be wrapped

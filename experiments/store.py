@@ -7,11 +7,9 @@ a finished run is put into place, and its rows are forgotten after that.
 
 from __future__ import annotations
 
-import csv
 import fcntl
 import hashlib
 import json
-import math
 import os
 import platform
 import shutil
@@ -24,10 +22,9 @@ from pathlib import Path
 from typing import Any
 
 from slefejax.errors import InputError
+from slefejax.experiments.tables import Row, strict, write_tables
 
 PACKAGES = ("slefejax", "jax", "jaxlib", "numpy", "scipy", "scikit-image", "trimesh", "moderngl", "matplotlib")
-_COLUMNS = 2  # grows when rows get other columns, or other meanings: what was stopped before is not gone on with
-Row = dict[str, Any]
 
 
 class Run:
@@ -42,7 +39,7 @@ class Run:
         self.experiment, self.arguments = experiment, arguments
         self._out = out.resolve() if out else None
         self.parent = self._out.parent if self._out else Path("runs") / experiment
-        asked = [experiment, arguments, inputs, str(self._out), _versions(), _commit(), _COLUMNS]
+        asked = [experiment, arguments, inputs, str(self._out), _versions(), _commit()]
         text = json.dumps(asked, sort_keys=True, default=str)
         self.work = self.parent / f".{experiment}-{digest(text.encode())}.partial"
         self._rows_file = self.work / _ROWS
@@ -101,12 +98,15 @@ class Run:
         make_row: Callable[[Any], Row],
         progress: Callable[[int], None],
         picture: Callable[[Any], str] | None = None,
+        columns: tuple[str, ...] | None = None,
     ) -> list[Row]:
         """A row for each value, those of an earlier run taken over; ``progress`` hears how many there are.
 
         picture : the name of the file that ``make_row`` writes beside its row; a row without it is made again
+        columns : a row with others is made again, too
         """
-        found = {row[key]: row for row in self.rows() if not picture or (self.work / picture(row[key])).exists()}
+        found = {row[key]: row for row in self.rows() if columns is None or tuple(row) == columns}
+        found = {value: row for value, row in found.items() if not picture or (self.work / picture(value)).exists()}
         for value in values:
             if value not in found:
                 found[value] = {key: value, **make_row(value)}
@@ -116,7 +116,8 @@ class Run:
 
     def finish(self, rows: list[Row], record: Row) -> Path:
         """Write the table and the record, and put the run's folder into place. Returns the folder."""
-        write_csv(self.file("table.csv"), rows)
+        self._make_folder()
+        write_tables(self.work, "table", rows)
         content = {
             "experiment": self.experiment,
             "arguments": self.arguments,
@@ -174,23 +175,6 @@ _LOCK, _ROWS = "lock", "rows.jsonl"
 def digest(content: bytes) -> str:
     """A short name for some content."""
     return hashlib.sha256(content).hexdigest()[:12]
-
-
-def strict(value: Any) -> Any:
-    """The same with null for numbers that JSON does not have."""
-    if isinstance(value, dict):
-        return {key: strict(part) for key, part in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [strict(part) for part in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def write_csv(path: Path, rows: list[Row]) -> None:
-    """A table with the keys of the first row as its columns."""
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
 
 
 def _whole(line: str) -> Row | None:

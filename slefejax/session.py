@@ -20,9 +20,8 @@ from jax.core import Tracer
 from jaxtyping import Float
 
 from slefejax.arguments import check_weights
-from slefejax.conversion.patchwork import in_layout
 from slefejax.errors import InputError
-from slefejax.geometry.packed import Packed
+from slefejax.geometry.packed import Packed, chunks_of
 from slefejax.geometry.projection import Projection
 from slefejax.geometry.view import View, check_view
 from slefejax.lanes import layout
@@ -249,7 +248,7 @@ class Session:
         pose = rig.check(at if isinstance(at, Pose) else rig.pose(at))
         pose = jax.tree.map(lambda x: x.astype(self._dtype), pose)
         vertices = rig.posed(tables.rest, pose, self._deform)
-        return in_layout(tables.points(vertices if tables.first is None else tables.first(vertices)), tables.net)
+        return chunks_of(tables.points(vertices if tables.first is None else tables.first(vertices)), tables.net)
 
     def _look(self, view: View) -> Factors:
         check_view(view)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slefejax.experiments.attack_nets import RATIONAL, SHAPES, moved, nets
-from slefejax.experiments.attack_views import VIEWS, elsewhere, view_of
+from slefejax.experiments.attack.nets import RATIONAL, SHAPES, moved, nets
+from slefejax.experiments.attack.views import VIEWS, elsewhere, view_of
 from slefejax.geometry.view import View
 
 _DECADES = 4.0  # of weights; with more, factors become numbers that no tessellation can have

@@ -13,14 +13,14 @@ import pytest
 from PIL import Image
 
 from slefejax import InputError, Session, View, load, tessellation_factors
-from slefejax.experiments import animate
-from slefejax.experiments.camera_path import camera_path
+from slefejax.experiments.bench.savings import savings
+from slefejax.experiments.checks.inspect import rig_row
 from slefejax.experiments.cli import main
-from slefejax.experiments.frames import Frames, frame_levels, moves_of_pixels
-from slefejax.experiments.inspect import rig_row
-from slefejax.experiments.modes import MODES
 from slefejax.experiments.options import LoadOptions
-from slefejax.experiments.savings import savings
+from slefejax.experiments.studies import animate
+from slefejax.experiments.studies.camera_path import camera_path
+from slefejax.experiments.studies.frames import Frames, frame_levels, moves_of_pixels
+from slefejax.experiments.studies.modes import MODES
 from slefejax.gpu.renderer import GBuffer
 from tests.test_cli import run_json
 
@@ -96,7 +96,7 @@ def test_spacing(device, capsys, spacing):
 @pytest.mark.gl
 def test_a_stopped_film_continues_where_it_was(device, capsys, monkeypatch):
     arguments = ["animate", "teapot", *SMALL, *FAST, "--camera-path", "zoom:2"]
-    row, seen = animate._Film.row, []
+    row, seen = animate._Film.look, []
 
     def stopping(self, frame):
         if len(seen) == 2:
@@ -104,10 +104,10 @@ def test_a_stopped_film_continues_where_it_was(device, capsys, monkeypatch):
         seen.append(frame)
         return row(self, frame)
 
-    monkeypatch.setattr(animate._Film, "row", stopping)
+    monkeypatch.setattr(animate._Film, "look", stopping)
     assert main(arguments) == 130
     capsys.readouterr()
-    monkeypatch.setattr(animate._Film, "row", lambda self, frame: seen.append(frame) or row(self, frame))
+    monkeypatch.setattr(animate._Film, "look", lambda self, frame: seen.append(frame) or row(self, frame))
     result = run_json(capsys, *arguments)
     assert seen == [0, 1, 2]
     assert [r["frame"] for r in result["rows"]] == [0, 1, 2]

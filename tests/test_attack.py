@@ -13,13 +13,14 @@ import numpy as np
 import pytest
 
 from slefejax import InputError, tessellation_factors
-from slefejax.experiments import attack as command
-from slefejax.experiments import attack_climb, attack_settings
-from slefejax.experiments.attack_batch import attack
-from slefejax.experiments.attack_claims import claimed, rng_of, scene_of
-from slefejax.experiments.attack_offender import script
-from slefejax.experiments.attack_settings import SETTINGS
-from slefejax.experiments.attack_workers import results
+from slefejax.experiments.attack import attack as command
+from slefejax.experiments.attack import climb as attack_climb
+from slefejax.experiments.attack import settings as attack_settings
+from slefejax.experiments.attack.batch import attack
+from slefejax.experiments.attack.claims import claimed, rng_of, scene_of
+from slefejax.experiments.attack.offender import script
+from slefejax.experiments.attack.settings import SETTINGS
+from slefejax.experiments.attack.workers import results
 from slefejax.experiments.cli import main
 from slefejax.predict import certified, kernel
 from slefejax.tessellator.rings import Pattern, direct3d11

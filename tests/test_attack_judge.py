@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from slefejax import sampled_error
-from slefejax.experiments import attack_judge, reference
-from slefejax.experiments.attack_judge import Look, Screen, judge_triangles, judge_uniform, settled
-from slefejax.experiments.attack_nets import nets
-from slefejax.experiments.attack_views import VIEWS, view_of
+from slefejax.experiments.attack import judge as attack_judge
+from slefejax.experiments.attack.judge import Look, Screen, judge_triangles, judge_uniform, settled
+from slefejax.experiments.attack.nets import nets
+from slefejax.experiments.attack.views import VIEWS, view_of
+from slefejax.experiments.checks import reference
 
 FLAT_ON = Look((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 4000.0, 0.1, 10.1, False, 4000, 4000)  # 1 px a unit
 
@@ -67,7 +68,7 @@ def test_depth():
 @pytest.mark.parametrize("family", ["random", "rational"])
 @pytest.mark.parametrize("view", ["around", "wide", "narrow", "near-plane"])
 def test_sixty_digits_agree(family, view):
-    """Own camera, evaluation and interpolation against those of slefejax.experiments.reference."""
+    """Own camera, evaluation and interpolation against those of slefejax.experiments.checks.reference."""
     rng = np.random.default_rng(3)
     patches, look = nets(family, rng, (3, 2), np.full(4, 0.4)), VIEWS[view](rng)
     cuts = square_cuts(1, 2, 5, 9)

@@ -8,10 +8,10 @@ import pytest
 
 from slefejax import tessellation_factors
 from slefejax.errors import InputError
-from slefejax.experiments import bench_peers as peers
-from slefejax.experiments.bench import Bench, machine_record
-from slefejax.experiments.bench_process import Worker, on_cores
-from slefejax.experiments.bench_stages import STAGES, Setting
+from slefejax.experiments.bench import peers
+from slefejax.experiments.bench.bench import Bench, machine_record
+from slefejax.experiments.bench.process import Worker, on_cores
+from slefejax.experiments.bench.stages import STAGES, Setting
 from slefejax.experiments.cli import main
 from slefejax.lanes import passes
 from slefejax.measure.error import pixel_error

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from slefejax.experiments import minimality
 from slefejax.experiments.cli import main
+from slefejax.experiments.studies import minimality
 from slefejax.figures.error_image import error_colours
 
 SMALL = ["--size", "180x120"]
@@ -81,7 +81,7 @@ def test_terminal_shows_the_table(device, capsys):
 @pytest.mark.gl
 def test_stopped_sweep_continues_where_it_was(device, capsys, monkeypatch):
     arguments = ["minimality", "teapot", *SMALL, "--scales", "1", "0.8", "0.6"]
-    row, seen = minimality._Sweep.row, []
+    row, seen = minimality._Sweep.look, []
 
     def stop_at_the_third(self, scale):
         if len(seen) == 2:
@@ -89,11 +89,11 @@ def test_stopped_sweep_continues_where_it_was(device, capsys, monkeypatch):
         seen.append(scale)
         return row(self, scale)
 
-    monkeypatch.setattr(minimality._Sweep, "row", stop_at_the_third)
+    monkeypatch.setattr(minimality._Sweep, "look", stop_at_the_third)
     assert main(arguments) == 130
     assert "goes on where it was" in capsys.readouterr().err
     assert all(name.startswith(".") for name in os.listdir("runs/minimality"))
-    monkeypatch.setattr(minimality._Sweep, "row", lambda self, scale: seen.append(scale) or row(self, scale))
+    monkeypatch.setattr(minimality._Sweep, "look", lambda self, scale: seen.append(scale) or row(self, scale))
     result = run_json(capsys, *arguments)
     assert seen == [1.0, 0.8, 0.6], "each scale once"
     assert [r["scale"] for r in result["rows"]] == [1.0, 0.8, 0.6]
@@ -102,7 +102,7 @@ def test_stopped_sweep_continues_where_it_was(device, capsys, monkeypatch):
 
 def stop_after(monkeypatch, capsys, arguments, count):
     """Run a sweep that is interrupted after so many rows; returns the folder that it leaves."""
-    row, seen = minimality._Sweep.row, []
+    row, seen = minimality._Sweep.look, []
 
     def stopping(self, scale):
         if len(seen) == count:
@@ -111,7 +111,7 @@ def stop_after(monkeypatch, capsys, arguments, count):
         return row(self, scale)
 
     with monkeypatch.context() as patched:
-        patched.setattr(minimality._Sweep, "row", stopping)
+        patched.setattr(minimality._Sweep, "look", stopping)
         assert main(arguments) == 130
     capsys.readouterr()
     (left,) = [name for name in os.listdir("runs/minimality") if name.startswith(".")]
@@ -149,7 +149,7 @@ def test_a_lost_picture_is_made_again(device, capsys, monkeypatch):
 @pytest.mark.gl
 def test_the_same_run_twice_at_once_is_refused(device, capsys, monkeypatch):
     arguments = ["minimality", "teapot", *SMALL, "--scales", "1", "0.8"]
-    row, inner = minimality._Sweep.row, []
+    row, inner = minimality._Sweep.look, []
 
     def nested(self, scale):
         if scale == 0.8 and not inner:
@@ -157,7 +157,7 @@ def test_the_same_run_twice_at_once_is_refused(device, capsys, monkeypatch):
             inner[0] = main(arguments)
         return row(self, scale)
 
-    monkeypatch.setattr(minimality._Sweep, "row", nested)
+    monkeypatch.setattr(minimality._Sweep, "look", nested)
     assert main(arguments) == 0
     assert inner == [2]
     assert "under way in another process" in capsys.readouterr().err

@@ -11,13 +11,15 @@ import pytest
 from slefejax import InputError, Mesh, convert, load
 from slefejax.arguments import did_you_mean, no_such
 from slefejax.errors import naming
-from slefejax.experiments import optimise, scaling, stability
+from slefejax.experiments.bench import scaling
+from slefejax.experiments.checks import stability
 from slefejax.experiments.cli import main
 from slefejax.experiments.commands import COMMANDS, command_of
+from slefejax.experiments.moves import optimise
 from slefejax.experiments.options import option_names
 from slefejax.experiments.parsing import parsed
 from slefejax.experiments.report import Report
-from slefejax.figures.stability import write_stability_figure
+from slefejax.figures.checks.stability import write_stability_figure
 from slefejax.study.relaxing import Relaxed
 from tests.meshes import disc
 from tests.test_imports import modules
@@ -246,7 +248,7 @@ def test_errors_of_zero_are_drawn_and_told_as_zero(tmp_path, monkeypatch):
         for precision in ("single", "double")
     ]
     drawn = []
-    monkeypatch.setattr("slefejax.figures.stability.save", lambda figure, path: drawn.append(figure))
+    monkeypatch.setattr("slefejax.figures.checks.stability.save", lambda figure, path: drawn.append(figure))
     write_stability_figure(tmp_path / "x.png", rows)
     axes = drawn[0].axes[0]
     assert axes.get_yticklabels()[0].get_text() == "0"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slefejax import Camera, InputError, View
-from slefejax.experiments.minimality import error_shares, slips
+from slefejax.experiments.studies.measures import pixels, slips
 from slefejax.measure.error import SLIPPED, drawn_error, pixel_error, slip, surface_on_screen
 
 
@@ -74,7 +74,7 @@ def test_error_from_where_it_was_drawn_and_slip_apart():
     assert slips(seen) == {"slipped_pixels": 1, "max_slip_px": 0.25}
     drawn[2, 1] = SLIPPED, -SLIPPED
     assert slips(seen)["slipped_pixels"] == 0, "above, not from on"
-    row = error_shares(drawn_error(square, view, seen), seen)
+    row = pixels(SimpleNamespace(error=drawn_error(square, view, seen), seen=seen))
     assert (row["covered_pixels"], row["share_above_0.1"]) == (15, 1 / 15)
     patch[:] = -1
     assert slips(seen) == {"slipped_pixels": 0, "max_slip_px": 0.0}

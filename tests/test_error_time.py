@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from slefejax import Camera, View
-from slefejax.experiments import error_time
 from slefejax.experiments.cli import main
+from slefejax.experiments.studies import measures
 from slefejax.gpu import Triangles
 from slefejax.measure.error import SLIPPED
 
@@ -82,7 +82,7 @@ def test_areas_of_triangles_by_hand():
     for k, side in enumerate((0.9, 4.0, 30.0, 4.0)):
         clip[k] = [[0, 0, 0, 1], [side / 50, 0, 0, 1], [0, side / 50, 0, 1]]
     clip[3, 0, 3] = -1.0
-    shares = error_time.area_shares(Triangles(np.zeros(4, int), np.zeros((4, 3, 2)), clip), view)
+    shares = measures.area_shares(Triangles(np.zeros(4, int), np.zeros((4, 3, 2)), clip), view)
     assert list(shares.values()) == pytest.approx([1 / 3, 1 / 3, 2 / 3, 2 / 3])
 
 

@@ -20,6 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 ANALYSIS = set().union(*LADDER)
 MOST_MODULES = 12  # of a folder
+MOST_ARROWS = 25  # between folders
 
 
 def modules() -> dict[str, Path]:
@@ -59,8 +60,16 @@ def test_the_picture_of_the_house_is_what_the_source_says():
     assert ("predict", "lanes") not in shown, "it follows from others"
 
 
+def test_few_folders_know_each_other():
+    """Those of the computations."""
+    folders = {folder.name for folder in (ROOT / "slefejax").iterdir() if folder.is_dir()} - {*BESIDE, "__pycache__"}
+    known = {pair for pair in arrows() if set(pair) <= folders}
+    assert len(known) <= MOST_ARROWS, sorted(known)
+
+
 def test_folders_are_small_enough_to_be_seen_at_once():
     folders = {path.parent for path in modules().values()}
+    folders |= {path.parent for own in BESIDE for path in (ROOT / own).rglob("*.py")}
     sizes = {folder: sum(path.name != "__init__.py" for path in folder.glob("*.py")) for folder in folders}
     assert max(sizes.values()) <= MOST_MODULES, sizes
 
@@ -129,7 +138,7 @@ def test_what_only_pictures_and_the_command_line_need_is_an_extra():
     assert found == base | module_names(EXTRAS["usd"] + EXTRAS["rhino"])
     assert packages_imported(ROOT / "slefejax" / "measure" / "covering.py") - base == {"skimage"}
     shown = set().union(*map(packages_imported, files_of("experiments") + files_of("figures")))
-    assert shown <= base | app
+    assert shown <= base | app | module_names(EXTRAS["parquet"])
 
 
 def test_the_extra_of_all_brings_the_others():

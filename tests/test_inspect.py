@@ -9,7 +9,7 @@ import pytest
 from matplotlib.image import imread
 
 from slefejax import NoOpenGLError
-from slefejax.experiments import inspect as inspecting
+from slefejax.experiments.checks import inspect as inspecting
 from slefejax.experiments.cli import main
 from tests.mixed import as_bv, cube_sphere
 from tests.test_cli import SMALL, in_an_empty_folder, run_json  # noqa: F401

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from slefejax import slefe, slefe_boxes, slefe_tiles
 from slefejax.bounds.bspline import basis_pieces, bspline_slefe
-from slefejax.experiments import reference
+from slefejax.experiments.checks import reference
 
 DTYPES = [np.float32, np.float64]
 

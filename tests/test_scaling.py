@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slefejax import InputError
-from slefejax.experiments import scaling
+from slefejax.experiments.bench import scaling
 from slefejax.experiments.cli import main
 from slefejax.geometry.bezier import evaluate_patch
 

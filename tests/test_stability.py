@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from slefejax import sampled_error, screen_widths, slefe_boxes, tessellation_factors, worst_points
-from slefejax.experiments import reference, stability
+from slefejax.experiments.checks import reference, stability
+from slefejax.experiments.checks.cases import FAMILIES, Case, bumpy, seen_from
 from slefejax.experiments.cli import main
-from slefejax.experiments.stability_cases import FAMILIES, Case, bumpy, seen_from
 from tests.test_cli import run_json
 
 

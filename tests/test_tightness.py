@@ -6,8 +6,8 @@ import os
 import numpy as np
 import pytest
 
+from slefejax.experiments.checks.tightness import curve_kinds, step_curve, tensor_order
 from slefejax.experiments.cli import main
-from slefejax.experiments.tightness import curve_kinds, step_curve, tensor_order
 
 
 @pytest.fixture(autouse=True)

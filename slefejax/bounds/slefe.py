@@ -34,12 +34,11 @@ from slefejax.arguments import (
 )
 from slefejax.bounds.slefe_tables import build_table
 from slefejax.errors import InputError
-from slefejax.geometry.bezier import second_differences
+from slefejax.geometry.bezier import HIGHEST_DEGREE, second_differences
 from slefejax.lanes import layout, loops, passes
 from slefejax.lanes.maxima import EXACT, Exact, Maxima
 from slefejax.lanes.tuning import TUNING
 
-HIGHEST_DEGREE = 64
 # Bounds in v that are b wider, or less, have second differences in u that are up to 2 b larger or smaller; with twice
 # that added to their sizes the smooth bounds in u are nowhere narrower than exact ones of exact ones.
 _SECOND = 4.0

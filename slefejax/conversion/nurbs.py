@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array, kron
 
-from slefejax.bounds.slefe import HIGHEST_DEGREE
 from slefejax.conversion.patchwork import KINDS, Patchwork
 from slefejax.errors import InputError
+from slefejax.geometry.bezier import HIGHEST_DEGREE
 from slefejax.model.stencils import StencilTable
 
 _SLIVER = 1e-9  # of an interval between knots; a smaller piece at the end of a range is a rounding error

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from slefejax.lanes import layout
+from slefejax.geometry.packed import chunks_of, packed_numbers
 from slefejax.model.stencils import StencilTable
 from slefejax.tessellator.edges import Sides
 
@@ -50,11 +49,11 @@ class Patchwork:
     @cached_property
     def packed_net(self) -> Int[np.ndarray, "chunks nu nv lanes"]:
         """``net`` in the layout of the kernels."""
-        return np.asarray(layout.pack(self.net.astype(np.int32)))
+        return packed_numbers(self.net)
 
     def packed(self, control: Any) -> Any:
         """The same by JAX in the layout of the kernels, ``(chunks, du+1, dv+1, dim, lanes)`` (``lanes.layout``)."""
-        return in_layout(self._points(control), self.packed_net)
+        return chunks_of(self._points(control), self.packed_net)
 
     def _points(self, control: Any) -> Any:
         return self.points(control if self.first is None else self.first(control))
@@ -68,8 +67,3 @@ class Patchwork:
     def edge_numbers(self) -> Int[np.ndarray, "patches 4"]:
         """Which edges are shared."""
         return self.sides.numbers
-
-
-def in_layout(points: Any, net: Any) -> Any:
-    """Control points ``(points, dim)`` of patches whose numbers are ``(chunks, nu, nv, lanes)``, in that layout."""
-    return jnp.moveaxis(points.reshape(len(points), -1).T[:, net], 0, 3)

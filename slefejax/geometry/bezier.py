@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Shaped
 from slefejax.arguments import Numbers, Patches, check_patches, check_weights, floating
 from slefejax.errors import InputError
 
+HIGHEST_DEGREE = 64  # of what is read, and of slefes
 Values = Any  # numbers or arrays, NumPy or JAX, that broadcast
 
 

@@ -12,8 +12,10 @@ from functools import cached_property
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jaxtyping import Int
 
 from slefejax.arguments import Patches, check_patches, check_weights
 from slefejax.geometry.projection import Projection, least_distance, relative
@@ -117,6 +119,16 @@ def pack(patches: Patches) -> Packed:
     patches = check_patches(patches)
     check_weights(patches)
     return Packed(patches, None, len(patches), patches.dtype != jax.dtypes.canonicalize_dtype(patches.dtype))
+
+
+def packed_numbers(net: Int[np.ndarray, "patches nu nv"]) -> Int[np.ndarray, "chunks nu nv lanes"]:
+    """Numbers of points, a net of them a patch, in the layout of the kernels."""
+    return np.asarray(layout.pack(net.astype(np.int32)))
+
+
+def chunks_of(points: Any, numbers: Any) -> Any:
+    """Control points ``(chunks, nu, nv, dim, lanes)`` of patches whose ``packed_numbers`` these are, by JAX."""
+    return jnp.moveaxis(points.reshape(len(points), -1).T[:, numbers], 0, 3)
 
 
 def _unit(view: View, dtype: Any) -> float:

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from slefejax.bounds.slefe import HIGHEST_DEGREE
 from slefejax.errors import InputError
+from slefejax.geometry.bezier import HIGHEST_DEGREE
 from slefejax.io.content import Content
 from slefejax.io.numbers import Numbers
 

@@ -18,9 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from slefejax.bounds.slefe import HIGHEST_DEGREE
 from slefejax.errors import InputError
-from slefejax.geometry.bezier import from_triangle
+from slefejax.geometry.bezier import HIGHEST_DEGREE, from_triangle
 from slefejax.io.content import Content, joined
 from slefejax.io.numbers import Numbers
 from slefejax.model.mesh import Mesh

@@ -1,0 +1,157 @@
+"""An offender as a script that needs nothing but NumPy and the package, and no randomness."""
+
+from __future__ import annotations
+
+from pprint import pformat
+
+import numpy as np
+
+from slefejax.experiments.attack.settings import SETTINGS
+from slefejax.experiments.store import Row
+
+_SCRIPT = '''"""{title}
+
+python THIS asks the package again and judges what it says now; python THIS --claimed judges what it said then: {claim}.
+Prints the ratio of the error to the tolerance; exit status 1 if that is above 1. The judge is below, in long double.
+"""
+
+import sys
+from math import comb
+
+import numpy as np
+
+eye, target, up, extent, near, far, perspective, width, height = {look}
+tolerance, depth_tolerance = {tolerances}
+patches = np.array({patches}).reshape({shape})
+which = {which}  # the patch that is judged
+triangle, share = np.array({triangle}), np.array({share})  # where the error was largest, in the domain
+{claimed}
+
+def predicted():
+    import jax
+
+    import slefejax as sj
+
+    jax.config.update("jax_enable_x64", {double})
+    make = sj.Camera.look_at if perspective else sj.Camera.orthographic
+    view = sj.View(make(eye, target, up, extent, near, far), width, height)
+    return sj.tessellation_factors(
+        patches.astype("{dtype}"), view, tolerance=tolerance, depth_tolerance=depth_tolerance{options}
+    )
+
+
+def screen():
+    """X, Y, Z over their tolerances from the picture's centre, and W; half the picture over the tolerances."""
+    long = lambda x: np.asarray(x).astype(np.longdouble)
+    forward = long(target) - long(eye)
+    forward /= np.sqrt(forward @ forward)
+    right = np.cross(forward, long(up))
+    right /= np.sqrt(right @ right)
+    n, f, e = long([near, far, extent])
+    control = long(patches[which])
+    w = control[..., 3:] if control.shape[-1] == 4 else np.ones_like(control[..., :1])
+    x, y, z = ((control[..., :3] - w * long(eye)) @ np.stack([right, np.cross(right, forward), -forward]).T).T
+    w = w[..., 0].T
+    if perspective:
+        pixels = height / 2 / np.tan(e * np.longdouble("3.14159265358979323846264338327950288") / 360)
+        rows = pixels * x, pixels * y, (f + n) / (n - f) / 2 * z + f * n / (n - f) * w, -z
+    else:
+        rows = height / e * x, height / e * y, z / (n - f) + (f + n) / (n - f) / 2 * w, w
+    scale = long([tolerance, tolerance, depth_tolerance or 1.0])
+    rows = [row.T / s for row, s in zip(rows, [*scale, 1])]
+    return rows, long([width / 2, height / 2, 0.5]) / scale
+
+
+def at(rows, u, v):
+    along = lambda t, d: np.stack([comb(d, j) * t**j * (1 - t) ** (d - j) for j in range(d + 1)])
+    return [np.sum(along(u, r.shape[0] - 1) * (r @ along(v, r.shape[1] - 1)), axis=0) for r in rows]
+
+
+def ratio(corners, shares):
+    """The largest of triangles (t, 3, 2) at places (s, 3) in them."""
+    rows, half = screen()
+    corners, shares = np.asarray(corners, np.longdouble), np.asarray(shares, np.longdouble)
+    u, v = np.einsum("sk,tkc->cts", shares, corners)
+    ends = [r.reshape(-1, 3) for r in at(rows, *corners.reshape(-1, 2).T)]
+    drawn = [(r @ shares.T).ravel() for r in ends]
+    exact = at(rows, u.ravel(), v.ravel())
+    seen = (drawn[3] > 0) & np.all([np.abs(r) <= h * drawn[3] for r, h in zip(drawn, half)], axis=0)
+    kept = [[r[seen] for r in side] for side in (exact, drawn)]
+    if not seen.any():
+        return 0.0
+    if np.any(kept[0][3] <= 0):
+        return float("inf")
+    count = 2 if depth_tolerance is None else 3
+    return float(max(np.max(np.abs(a / kept[0][3] - b / kept[1][3])) for a, b in zip(kept[0][:count], kept[1])))
+
+{judge}
+
+if __name__ == "__main__":
+    found = worst("--claimed" in sys.argv[1:])
+    print(f"ratio {{found:.12g}}")
+    sys.exit(found > 1 + 4e-9)
+'''
+
+_CLAIMED_UNIFORM = """claimed_factor = {factor}
+more = {more}  # cells a side than ceil(factor)
+"""
+_UNIFORM = """
+def worst(claimed):
+    factor = claimed_factor if claimed else float(predicted().factor[which])
+    n = int(np.ceil(factor)) + more if factor > 0 else 5
+    print(f"factor {factor!r}, {n} x {n} cells")
+    i, j = (x.reshape(-1, 1) for x in np.divmod(np.arange(n * n), n))
+    shapes = [[0, 0], [1, 0], [1, 1]], [[0, 0], [0, 1], [1, 1]], [[0, 0], [1, 0], [0, 1]], [[1, 1], [0, 1], [1, 0]]
+    corners = [(np.stack([i, j], axis=2) + np.array(shape)) / n for shape in shapes]
+    lattice = [(a, b, 12 - a - b) for a in range(13) for b in range(13 - a)]
+    return max(ratio(np.concatenate(corners), np.array(lattice) / 12), ratio([triangle], [share]) if claimed else 0)
+"""
+_CLAIMED_DRAWN = """claimed_inner, claimed_edges = {levels}  # of that patch
+edge_numbers = np.array({numbers})
+"""
+_DRAWN = """
+def worst(claimed):
+    if not claimed:
+        found = predicted()
+        inner, edges = found.inner[which].tolist(), found.edges[which].tolist()
+        print(f"inner {inner}, edges {edges}")
+        if (inner, edges) != (claimed_inner, claimed_edges):
+            print("these are other levels than those that were claimed, of which the triangle is one")
+            return 0.0
+    return ratio([triangle], [share])
+"""
+
+
+def script(found: Row) -> str:
+    """The text of the script for an offender of a batch (``attack_batch``), with its family, setting and seed."""
+    setting = SETTINGS[found["setting"]]
+    patches = np.array(found["patches"])
+    drawn = "edge_numbers" in found
+    which = found.get("which", 0)
+    factor = "float('nan')" if found["factor"] is None else repr(found["factor"])
+    options = {**setting.options}
+    claim = f"factor {factor}"
+    if drawn:
+        own = found["inner"][which], found["edges"][which]
+        claimed = _CLAIMED_DRAWN.format(levels=own, numbers=found["edge_numbers"])
+        claim += f", levels {own[0]} and {own[1]}"
+    else:
+        more = found["cut"] - int(np.ceil(found["factor"] or 0.0)) if found["factor"] else 0
+        claimed = _CLAIMED_UNIFORM.format(factor=factor, more=more)
+    text = "".join(f", {name}={value!r}" for name, value in options.items())
+    return _SCRIPT.format(
+        title=f"{found['family']}, {found['setting']}, seed {found['seed']}: {found['ratio']:.9g} times the tolerance.",
+        claim=claim,
+        look=tuple(tuple(x) if isinstance(x, list) else x for x in found["look"]),
+        tolerances=tuple(found["tolerances"]),
+        patches=pformat(patches.ravel().tolist(), compact=True, width=118),
+        shape=patches.shape,
+        which=which,
+        triangle=found["triangle"],
+        share=found["share"],
+        claimed=claimed,
+        double=setting.double,
+        dtype=np.dtype(setting.dtype).name,
+        options=text + (", edge_numbers=edge_numbers" if drawn else ""),
+        judge=_DRAWN if drawn else _UNIFORM,
+    )

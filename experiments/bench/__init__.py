@@ -1,0 +1,1 @@
+"""How long things take, and what it grows with (docs/benchmarks.md)."""

@@ -1,0 +1,1 @@
+"""What triangles depend on: budgets, sensitivity, points that are moved."""

@@ -1,0 +1,1 @@
+"""Tables of cases: scenes, views, methods and scales, measured one by one."""

@@ -1,0 +1,221 @@
+"""A scene in motion, frame by frame: factors, triangles, bad pixels, and where the time goes."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+import tyro
+from matplotlib.image import imread
+
+from slefejax import Scene, Session, View
+from slefejax.errors import InputError
+from slefejax.experiments.options import LoadOptions, OutputOptions, PredictionOptions, ViewOptions, camera_record
+from slefejax.experiments.report import Report, progress
+from slefejax.experiments.store import Row, Run, digest
+from slefejax.experiments.studies.camera_path import ViewPath, camera_path
+from slefejax.experiments.studies.frames import Frames, Levels, change_of_levels, frame_levels, moves_of_pixels, timed
+from slefejax.experiments.studies.look import Look
+from slefejax.experiments.studies.measures import Measure, measure, pixels_or_none, size
+from slefejax.experiments.studies.modes import COLUMNS, MODES, mode_row
+from slefejax.experiments.studies.study import Case, Study
+from slefejax.experiments.tables import write_csv
+from slefejax.figures.error_image import write_error_image
+from slefejax.figures.studies.animate import write_film, write_timeline, write_work
+from slefejax.gpu import Device, Renderer, open_device
+from slefejax.predict.methods import Certified, Options, Slefe
+
+_LOOKED_AT = 4  # poses that the camera frames
+_SHOWN = (
+    *("frame", "time", "triangles", "share_above_0.5", "max_error_px", "slipped_pixels", "changed_share", "pop_max_px"),
+    *("skinning_ms", "boxes_ms", "view_ms", "levels_ms", "hand_over_ms", "render_ms"),
+)
+
+
+@dataclass(frozen=True)
+class Animate:
+    """Move a scene: per frame factors, triangles, bad pixels, time a pass; what posing less often saves; a film."""
+
+    scene: tyro.conf.Positional[str]
+    """A file, or walker, teapot, twisted-quad, steep-patch."""
+    frames: str = "24"
+    """How many frames, spread over the motion from its first time on, before its last; or FIRST:LAST:STEP in its units
+    of time."""
+    camera_path: str = "still"
+    """still, orbit:DEGREES (around the target), zoom:FACTOR (so many times as close in the end), or a .csv file with
+    the columns eye_x eye_y eye_z target_x target_y target_z."""
+    spacing: Literal["equal", "fractional-even", "fractional-odd"] = "equal"
+    """How the tessellator places vertices; fractional ones move with the factor instead of coming and going."""
+    seconds: float = 1.0
+    """How long each of the modes (pose every frame, at 33 Hz, never) is run; 0 leaves them out."""
+    prediction: tyro.conf.OmitArgPrefixes[PredictionOptions] = field(default_factory=PredictionOptions)
+    camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
+    loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
+    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def run(self) -> Report:
+        """Move, predict, draw, measure, frame by frame; then the modes, the figures and the film."""
+        self._check()
+        scene = replace(self.loading, time=None, keys=()).load(self.scene)
+        frames = Frames.of(scene, self.frames, self.loading.weights())
+        reached = _reached(scene, frames, self.loading)
+        view = self.camera.view(reached)
+        path = camera_path(self.camera_path, reached, view)
+        session = Session(scene, deform=self.loading.deformation(), **self.prediction.arguments())
+        device = open_device()
+        arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
+        inputs = {"scene": digest(scene.patches().tobytes()), "opengl": device.renderer}
+        with Run("animate", arguments, self.output.out, inputs) as run:
+            film = _Film(scene, frames, _views(path, frames), session, self, run, device)
+            study = Study(film.cases(), (size, pixels_or_none, *PARTS_OF_FRAMES), picture_name)
+            rows = study.rows(run, "frames")
+            modes = film.modes()
+            film.draw(rows, modes)
+            left_out = session.left_out()
+            record = {"scene": scene.name, "notes": scene.notes, "left_out": left_out, "modes": modes}
+            record |= {"memory": session.memory(), "opengl": {"renderer": device.renderer, "version": device.version}}
+            if modes:
+                write_csv(run.file("modes.csv"), modes)
+            out = run.finish(rows, record)
+        title = f"{scene.name}: {len(scene.patches()):,} patches in {len(rows)} frames at {self.camera.size}"
+        notes = (*scene.notes, *frames.notes(scene), *(f"left out: {what}" for what in left_out))
+        if isinstance(session.request.method, Certified) and self.spacing != "equal":
+            notes += ("levels with fractional spacing are not proved: the certificate is for equal spacing",)
+        more = (("where the time of a frame goes, in milliseconds, and how many frames a second that makes", modes),)
+        return Report(scene.name, out, rows, title, notes, {"modes": modes}, self.output.json, more=more, shown=_SHOWN)
+
+    def _check(self) -> None:
+        if self.loading.time is not None:
+            raise InputError("animate goes through the times of --frames: --time has no meaning for it")
+        if not (np.isfinite(self.seconds) and self.seconds >= 0):
+            raise InputError(f"--seconds must not be negative, not {self.seconds}")
+        fine = self.prediction.anisotropic or self.prediction.verify
+        if self.spacing != "equal" and fine:
+            raise InputError("--anisotropic and --verify find whole levels: they have no meaning with --spacing")
+
+
+def _views(path: ViewPath, frames: Frames) -> list[View]:
+    """The view of every frame. Raises InputError, with the number of the frame, for a camera that is none."""
+    views = []
+    for frame, share in enumerate(frames.shares):
+        try:
+            views.append(path(share))
+        except InputError as error:
+            raise InputError(f"--camera-path, frame {frame}: {error}") from None  # whose columns are no options
+    return views
+
+
+def picture_name(frame: int) -> str:
+    """File name of the error image of a frame."""
+    return f"frame_{frame:04d}.png"
+
+
+def _reached(scene: Scene, frames: Frames, loading: LoadOptions) -> Scene:
+    """The scene with the patches of some of the frames, to be framed as a whole."""
+    if not frames.moves:
+        return scene
+    chosen = [frames.poses[k] for k in np.unique(np.linspace(0, len(frames.poses) - 1, _LOOKED_AT).astype(int))]
+    control = [np.asarray(scene.pose(pose, loading.deformation())) for pose in chosen]
+    return replace(scene, control=np.concatenate(control), faces=None, kinds=None, rig=None, conversion=None)
+
+
+_CHANGES = ("changed_share", "pop_p99_px", "pop_max_px")
+
+
+@dataclass
+class _Frame(Look):
+    """A frame, what changed since the one before, and milliseconds spent on its parts."""
+
+    own: Any = None
+    changed: Row = field(default_factory=lambda: dict.fromkeys(_CHANGES, float("nan")))
+    spent: Row = field(default_factory=dict)
+
+
+@measure("visible_patches", "sum_of_factors")
+def _factors(look: Any) -> Row:
+    """Of the patches that are on the screen."""
+    return {"visible_patches": int(np.sum(look.own.factor > 0)), "sum_of_factors": float(look.own.factor.sum())}
+
+
+PARTS_OF_FRAMES = (
+    _factors,
+    Measure(_CHANGES, lambda look: {name: look.changed[name] for name in _CHANGES}),
+    Measure(COLUMNS, lambda look: {name: look.spent[name] for name in COLUMNS}),
+)
+
+
+@dataclass
+class _Film:
+    scene: Scene
+    frames: Frames
+    views: list[View]
+    session: Session
+    options: Animate
+    run: Run
+    device: Device
+
+    def __post_init__(self) -> None:
+        self._renderer = Renderer(self.scene.patches(), self.device, self.options.spacing)
+        self._levels: dict[int, Levels] = {}
+
+    def levels(self, frame: int) -> Levels:
+        """Those of a frame; of the last two they are kept."""
+        if frame not in self._levels:
+            found = frame_levels(self.session, self.views[frame], self.frames.poses[frame], self.options.spacing)
+            self._levels = {k: kept for k, kept in self._levels.items() if k == frame - 1} | {frame: found}
+        return self._levels[frame]
+
+    def cases(self) -> list[Case]:
+        """The frames."""
+        proved = isinstance(self.session.request.method, Certified) and self.options.spacing == "equal"
+        same = {"method": self.session.request.name, "spacing": self.options.spacing, "proved": proved}
+        times = self.frames.times.tolist()
+        return [Case(k, {"frame": k, "time": time, **same}, partial(self.look, k)) for k, time in enumerate(times)]
+
+    def look(self, frame: int) -> _Frame:
+        """Predict, draw, and see what would have moved had the levels stayed those of the frame before."""
+        before = self.levels(frame - 1) if frame else None
+        own, view = self.levels(frame), self.views[frame]
+        hand_over_ms = own.milliseconds["hand_over_ms"] + timed(lambda: self._renderer.move(own.patches))
+        spacing = self.options.spacing
+        found = _Frame(own.patches, view, self._renderer, own.inner, own.outer, spacing, own=own)
+        found.spent = {**own.milliseconds, "hand_over_ms": hand_over_ms, "render_ms": found.render_ms}
+        write_error_image(self.run.file(picture_name(frame)), found.error)
+        if before is not None:
+            other = self._renderer.draw(view, *before.drawn_with(own))
+            found.changed = change_of_levels(before, own) | moves_of_pixels(own.patches, view, found.seen, other)
+        return found
+
+    def modes(self) -> list[Row]:
+        """How long frames take if the pose changes with each of them, 33 times a second, or never."""
+        if not self.options.seconds:
+            return []
+        own = self.options.prediction.arguments()
+        estimate: Options = {**own, "method": Slefe()}
+        every: list[Options] = [own] if isinstance(self.session.request.method, Slefe) else [own, estimate]
+        rows = []
+        with progress("modes", len(MODES) * len(every)) as show:
+            for arguments in every:
+                session = Session(self.scene, deform=self.options.loading.deformation(), **arguments)
+                for mode in MODES:
+                    show(len(rows), mode)
+                    rows.append(mode_row(mode, session, self._renderer, self.frames, self.views, self.options.seconds))
+        return rows
+
+    def draw(self, rows: list[Row], modes: list[Row]) -> None:
+        """The figures and the film."""
+        name, run = self.scene.name, self.run
+        if modes:
+            write_work(run.file("work.png"), modes, name, self.device.renderer)
+        if not any(row["covered_pixels"] for row in rows):
+            raise InputError("nothing of the scene is on the screen in any frame: turn the camera to it")
+        write_timeline(run.file("timeline.png"), rows, name, self.options.prediction.tolerance)
+        pictures = [imread(run.file(picture_name(row["frame"]))) for row in rows]
+        captions = [
+            f"{name}, time {row['time']:.4g}: {row['triangles']:,} triangles,"
+            f" largest error {row['max_error_px']:.2f} px"
+            for row in rows
+        ]
+        write_film(run.file("animation.gif"), pictures, captions, self.frames.seconds_a_frame)

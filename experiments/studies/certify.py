@@ -1,0 +1,218 @@
+"""Does the certified factor hold, where does the published estimate fail, and what does the proof cost?"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from functools import partial
+
+import jax
+import numpy as np
+import tyro
+
+from slefejax import Factors, Scene, View, tessellation_factors
+from slefejax.errors import InputError, naming
+from slefejax.experiments.options import (
+    LoadOptions,
+    OutputOptions,
+    Scenes,
+    ViewOptions,
+    camera_record,
+    check_count,
+    notes_of,
+)
+from slefejax.experiments.report import Report
+from slefejax.experiments.store import Row, Run, digest
+from slefejax.experiments.studies.look import Look, Shown
+from slefejax.experiments.studies.measures import Measure, domain, measure, minimal, size, slips
+from slefejax.experiments.studies.study import Case, Study, shown, taking_turns
+from slefejax.figures.error_image import write_error_image
+from slefejax.figures.studies.certify import write_certify_figure
+from slefejax.gpu import open_device
+from slefejax.predict.kernel import Method
+from slefejax.predict.methods import Certified, Slefe
+from slefejax.predict.rules import Filip
+from slefejax.tessellator.levels import HIGHEST_LEVEL
+
+METHODS = ("certified", "slefe", "filip")
+_REPEATS = 7
+
+
+@dataclass(frozen=True)
+class Certify:
+    """Patch by patch: the certified factor, the largest error that it and the published estimate lead to, the slack."""
+
+    scenes: Scenes
+    """Files (.obj, .usd…, .glb, …: the README lists them), or walker, teapot, twisted-quad, steep-patch."""
+    tiles: int = 2
+    """Pieces along each side that a patch is cut into to bound it; more are tighter and slower."""
+    verify: bool = False
+    """Smaller numbers are proved cell by cell, which is slower and tighter."""
+    anisotropic: bool = False
+    """Levels that differ along u and v, where that saves triangles."""
+    segments: int = 3
+    """Of the published estimate: pieces m in each direction."""
+    tolerance: float = 0.5
+    """Error in pixels that is allowed."""
+    camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
+    loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
+    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def run(self) -> Report:
+        """Predict by all methods, measure, draw."""
+        if not self.scenes:
+            raise InputError("name at least one scene: a file, teapot, twisted-quad or steep-patch")
+        check_count("--tiles", self.tiles)
+        scenes = [self.loading.load(name) for name in self.scenes]
+        views = [self.camera.view(scene) for scene in scenes]
+        device = open_device()
+        arguments = {**asdict(self), "output": None, "camera": [camera_record(view) for view in views]}
+        inputs = {"scenes": [digest(s.patches().tobytes()) for s in scenes], "opengl": device.renderer}
+        with Run("certify", arguments, self.output.out, inputs) as run:
+            looks = _Looks(scenes, views, self, run)
+            measures = (size, _uniform, minimal, domain, _pixels, _above(self.tolerance), looks.times, _by_patch)
+            found = Study(looks.cases(), measures).rows(run, "measuring")
+            looks.release()
+            summary = shown(found)
+            rows = _patch_rows(found, self.tolerance)
+            images = [[run.file(picture_name(k, name)) for name in METHODS[:2]] for k in range(len(scenes))]
+            write_certify_figure(run.file("certify.png"), rows, summary, images, self.tolerance)
+            names = " ".join(scene.name for scene in scenes)
+            notes = notes_of(scenes)
+            record = {"scene": names, "notes": notes, "summary": summary, "opengl": {"renderer": device.renderer}}
+            out = run.finish(rows, record)
+        broken = sum(row["sup_error_px"] > self.tolerance or row["drawn_sup_error_px"] > self.tolerance for row in rows)
+        high = sum(max(row["inner_u"], row["inner_v"]) > HIGHEST_LEVEL for row in rows)
+        title = f"{names}: certified factors at {self.tolerance:g} px, {broken} of {len(rows)} patches above it"
+        title += f", {high} need levels above {HIGHEST_LEVEL} and are drawn in pieces" if high else ""
+        return Report(names, out, rows, title, notes + _sentences(summary), {"summary": summary}, self.output.json)
+
+
+def picture_name(scene: int, method: str) -> str:
+    """File name of an error image; scenes are counted from 0."""
+    return f"error_{scene}_{method}.png"
+
+
+class _Looks:
+    """Scenes by all methods, one scene after the other; the error images are kept."""
+
+    def __init__(self, scenes: list[Scene], views: list[View], options: Certify, run: Run) -> None:
+        self._scenes, self._views, self._options, self._run = scenes, views, options, run
+        self._number, self._shown = -1, Shown(scenes[0], views[0], options.tolerance)
+        self._factors: dict[str, Factors] = {}
+        self._milliseconds: dict[str, tuple[float, float]] = {}
+        self.times = Measure(("predict_ms",), lambda look: {"predict_ms": self._milliseconds[look.name][0]})
+
+    def cases(self) -> list[Case]:
+        """A scene and a method each."""
+        return [
+            Case(f"{number} {name}", {"scene": scene.name, "method": name}, partial(self.look, number, name))
+            for number, scene in enumerate(self._scenes)
+            for name in self._methods(number)
+        ]
+
+    def _methods(self, number: int) -> dict[str, Method]:
+        certified = Certified(self._options.tiles, verify=self._options.verify)
+        methods: dict[str, Method] = {"certified": certified, "slefe": Slefe(self._options.segments), "filip": Filip()}
+        if self._scenes[number].patches().shape[-1] == 4:
+            del methods["filip"]
+        return methods
+
+    def look(self, number: int, name: str) -> Look:
+        """One scene by one method."""
+        with naming(f"scene {self._scenes[number].name!r}"):
+            if number != self._number:
+                self._enter(number)
+            found = self._shown.drawn(self._factors[name], name)
+            write_error_image(self._run.file(picture_name(number, name)), found.error)
+            return found
+
+    def _enter(self, number: int) -> None:
+        """Predict by all methods; times once they are compiled, the methods taking turns."""
+        self.release()
+        scene, view = self._scenes[number], self._views[number]
+        self._number, self._shown = number, Shown(scene, view, self._options.tolerance)
+
+        def predict(method: Method) -> Factors:
+            numbers = scene.edge_numbers
+            factors = tessellation_factors(
+                scene.patches(), view, method, tolerance=self._options.tolerance, edge_numbers=numbers
+            )
+            jax.block_until_ready(factors.factor)
+            return factors
+
+        methods = self._methods(number)
+        self._factors = {name: predict(method) for name, method in methods.items()}
+        calls = {name: partial(predict, method) for name, method in methods.items()}
+        self._milliseconds = taking_turns(calls, _REPEATS)
+        if self._options.anisotropic:
+            self._factors["certified"] = predict(Certified(self._options.tiles, True, self._options.verify))
+
+    def release(self) -> None:
+        """Of the last scene."""
+        self._shown.release()
+
+
+@measure("uniform_triangles")
+def _uniform(look: Look) -> Row:
+    """Triangles of uniform grids, no edge being shared."""
+    own = look.with_factors
+    return {"uniform_triangles": int(2 * np.sum(own.levels**2 if own.pairs is None else own.pairs.prod(axis=1)))}
+
+
+@measure("max_error_px", "slipped_pixels", "max_slip_px")
+def _pixels(look: Look) -> Row:
+    """Of pictures in which there may be nothing."""
+    return {"max_error_px": float(np.nanmax(look.error, initial=0.0)), **slips(look.seen)}
+
+
+def _above(tolerance: float) -> Measure:
+    """How many patches err by more than the tolerance, uniformly cut or as they are drawn."""
+    return Measure(
+        ("patches_above",),
+        lambda look: {"patches_above": int(np.sum(np.maximum(look.uniform, look.worst) > tolerance))},
+    )
+
+
+@measure("_factor", "_inner", "_minimal", "_uniform", "_drawn")
+def _by_patch(look: Look) -> Row:
+    """Patch by patch, for the table of patches."""
+    factors = look.with_factors
+    arrays = (factors.factor, factors.inner, look.beside.minimal, look.uniform, look.worst)
+    return dict(zip(_by_patch.columns, (np.asarray(own).tolist() for own in arrays), strict=True))
+
+
+def _patch_rows(found: list[Row], tolerance: float) -> list[Row]:
+    """The certified factor, its errors and what is left of the tolerance, and the estimate's beside it."""
+    rows = []
+    for certified, slefe in zip(
+        *([row for row in found if row["method"] == name] for name in METHODS[:2]), strict=True
+    ):
+        for k, least in enumerate(certified["_minimal"]):
+            uniform, drawn = certified["_uniform"][k], certified["_drawn"][k]
+            rows.append(
+                {
+                    "scene": certified["scene"],
+                    "patch": k,
+                    "factor": certified["_factor"][k],
+                    "inner_u": certified["_inner"][k][0],
+                    "inner_v": certified["_inner"][k][1],
+                    "minimal": least,
+                    "sup_error_px": uniform,
+                    "drawn_sup_error_px": drawn,
+                    "slack_px": tolerance - max(uniform, drawn),
+                    "slefe_factor": slefe["_factor"][k],
+                    "slefe_sup_error_px": slefe["_uniform"][k],
+                    "slefe_drawn_sup_error_px": slefe["_drawn"][k],
+                }
+            )
+    return rows
+
+
+def _sentences(summary: list[Row]) -> tuple[str, ...]:
+    return tuple(
+        f"{row['scene']}, {row['method']}: {row['triangles']:,} triangles ({row['uniform_triangles']:,} without shared"
+        f" edges; minimal {row['minimal_triangles']:,}), largest error {row['sup_error_px']:.3g} px uniform and"
+        f" {row['drawn_sup_error_px']:.3g} px as drawn, {row['patches_above']} of {row['patches']} patches above the"
+        f" tolerance, {row['predict_ms']:.2g} ms"
+        for row in summary
+    )

@@ -1,0 +1,195 @@
+"""Are the predicted factors safe, and are they minimal? Scale them, render, and look at every pixel."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+import tyro
+
+from slefejax import Factors, Scene, View, pack
+from slefejax.errors import InputError
+from slefejax.experiments.options import (
+    LoadOptions,
+    OutputOptions,
+    PredictionOptions,
+    ViewOptions,
+    camera_record,
+    check_scales,
+    columns_of,
+)
+from slefejax.experiments.report import Report
+from slefejax.experiments.store import Row, Run, digest
+from slefejax.experiments.studies.look import Look
+from slefejax.experiments.studies.measures import Measure, measure, pixels, rendering, size
+from slefejax.experiments.studies.study import Case, Study
+from slefejax.figures.error_image import write_error_image
+from slefejax.figures.studies.minimality import write_factor_map, write_minimality_figure
+from slefejax.gpu import Renderer, open_device
+from slefejax.gpu.renderer import check_levels
+from slefejax.predict.factors import predicted
+from slefejax.predict.methods import Request, Slefe, label_of
+from slefejax.tessellator.levels import MOST_LEVEL, with_pieces
+
+
+@dataclass(frozen=True)
+class Minimality:
+    """Scale the predicted tessellation factors, render each, and measure the error of every pixel."""
+
+    scene: tyro.conf.Positional[str]
+    """A file (.obj, .usd…, .glb, …: the README lists them), or walker, teapot, twisted-quad, steep-patch."""
+    scales: tuple[float, ...] = (1.0, 0.9, 0.8, 0.75, 0.7, 0.5)
+    """What the predicted factors are multiplied by, one row each."""
+    edges: Literal["shared", "own"] = "shared"
+    """Edge levels: the larger of the two neighbours', without cracks; or each patch's own, with cracks."""
+    prediction: tyro.conf.OmitArgPrefixes[PredictionOptions] = field(default_factory=PredictionOptions)
+    camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
+    loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
+    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def run(self) -> Report:
+        """Predict, render at every scale, measure, draw the pictures."""
+        check_scales(self.scales)
+        scene = self.loading.load(self.scene)
+        view = self.camera.view(scene)
+        request = self.prediction.request(scene)
+        factors, predict_ms = _predict(scene, view, request)
+        largest = factors.scaled(max(self.scales)).levels
+        beside = None if isinstance(request.method, Slefe) else _estimate(scene, view, request)
+        device = open_device()
+        check_levels(largest)
+        arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
+        inputs = {"scene": digest(scene.patches().tobytes()), "opengl": device.renderer}
+        with Run("minimality", arguments, self.output.out, inputs) as run:
+            renderer = Renderer(scene.patches(), device)
+            sweep = _Sweep(scene, view, factors, beside, self, run, renderer)
+            own = columns_of(request.method)
+            cases = [Case(scale, {"scale": scale, **own}, partial(sweep.look, scale)) for scale in self.scales]
+            times = Measure(("predict_ms",), lambda _: {"predict_ms": predict_ms})
+            estimate = () if beside is None else (_estimate_beside,)
+            study = Study(cases, (size, pixels, rendering, *estimate, times), error_name)
+            rows = study.rows(run, "rendering")
+            sweep.draw_pictures(rows)
+            record = {
+                "scene": scene.name,
+                "notes": scene.notes,
+                "opengl": {"renderer": device.renderer, "version": device.version},
+                "sum_of_factors": float(np.sum(factors.factor)),
+                "patches_off_screen": int(np.sum(np.asarray(factors.factor) == 0)),
+                "left_out": self.prediction.left_out(scene),
+            }
+            out = run.finish(rows, record)
+        title = _title(scene, view, factors)
+        extra = {"sum_of_factors": record["sum_of_factors"]}
+        return Report(scene.name, out, rows, title, scene.notes, extra, self.output.json)
+
+
+def _predict(scene: Scene, view: View, request: Request) -> tuple[Factors, float]:
+    """The factors, and how long they take once compiled (median of 5, milliseconds)."""
+
+    def timed() -> tuple[Factors, float]:
+        start = time.perf_counter()
+        factors = predicted(request, pack(scene.patches()), view, scene.edge_numbers)
+        return factors, time.perf_counter() - start
+
+    (factors, _), *others = [timed() for _ in range(6)]
+    if not np.any(np.asarray(factors.factor) > 0):
+        raise InputError(
+            "no patch is on the screen: turn the camera to the scene, or move it or its near and far planes"
+        )
+    return factors, 1e3 * float(np.median([seconds for _, seconds in others]))
+
+
+def _estimate(scene: Scene, view: View, request: Request) -> Factors:
+    """The published factors, to be shown beside others."""
+    return predicted(Request(Slefe(), request.tolerances), pack(scene.patches()), view, scene.edge_numbers)
+
+
+@dataclass
+class _Scaled(Look):
+    """With what the published estimate leads to at the same scale; None where it is too large to be drawn."""
+
+    estimate: Look | None = None
+
+
+@dataclass
+class _Sweep:
+    scene: Scene
+    view: View
+    factors: Factors
+    beside: Factors | None
+    options: Minimality
+    run: Run
+    renderer: Renderer
+
+    def levels(self, scale: float, factors: Factors | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Inner and outer levels at a scale."""
+        scaled = (factors or self.factors).scaled(scale)
+        if self.options.edges == "shared":
+            return scaled.inner, scaled.edges
+        own = np.repeat(scaled.levels[:, None], 4, axis=1)
+        return with_pieces(scaled.inner, own, np.arange(own.size).reshape(own.shape))
+
+    def look(self, scale: float) -> _Scaled:
+        """Render at a scale, and keep the picture."""
+        patches, levels = self.scene.patches(), self.levels(scale)
+        found = _Scaled(patches, self.view, self.renderer, *levels, factors=self.factors.scaled(scale))
+        if self.beside is not None:
+            inner, outer = self.levels(scale, self.beside)
+            if max(inner.max(), outer.max()) <= MOST_LEVEL:
+                found.estimate = Look(patches, self.view, self.renderer, inner, outer)
+        _ = found.render_ms
+        write_error_image(self.run.file(error_name(scale)), found.error)
+        return found
+
+    def draw_pictures(self, rows: list[Row]) -> None:
+        """The factors on the patches, and one figure with everything."""
+        inner, outer = self.levels(max(self.options.scales))
+        patch = self.renderer.draw(self.view, inner, outer).patch
+        painted = np.where(patch >= 0, np.append(np.asarray(self.factors.factor, float), 0.0)[patch], np.nan)
+        labels = _labels(patch, np.asarray(self.factors.factor, float))
+        write_factor_map(self.run.file("factors.png"), painted, labels)
+        images = [self.run.file(error_name(row["scale"])) for row in rows]
+        tolerance = self.options.prediction.tolerance
+        write_minimality_figure(
+            self.run.file("minimality.png"), rows, images, painted, labels, self.scene.name, tolerance
+        )
+
+
+def error_name(scale: float) -> str:
+    """File name of the error image of a scale."""
+    return f"error_scale_{float(scale)!r}.png".replace(".0.png", ".png")
+
+
+def _labels(patch: np.ndarray, factor: np.ndarray, most: int = 80) -> list[tuple[float, float, str]]:
+    """(column, row, factor): where to write a patch's factor, in the middle of what is seen of it if that is enough."""
+    numbers, counts = np.unique(patch[patch >= 0], return_counts=True)
+    large = numbers[counts > patch.size / 1500]
+    if len(large) > most:
+        return []
+    places = [np.argwhere(patch == number) for number in large]
+    nearest = [place[np.argmin(np.sum((place - np.median(place, axis=0)) ** 2, axis=1))] for place in places]
+    return [(float(c), float(r), f"{factor[n]:.1f}") for (r, c), n in zip(nearest, large, strict=True)]
+
+
+_BESIDE = ("triangles", "share_above_0.5", "max_error_px")
+
+
+@measure(*(f"slefe_{name}" for name in _BESIDE))
+def _estimate_beside(look: Any) -> Row:
+    """What the published factors lead to at the same scale; NaN where they are too large to be drawn."""
+    other = look.estimate
+    found = dict.fromkeys(_BESIDE, float("nan")) if other is None else {**size(other), **pixels(other)}
+    return {f"slefe_{name}": found[name] for name in _BESIDE}
+
+
+def _title(scene: Scene, view: View, factors: Factors) -> str:
+    assert factors.request is not None
+    total, (method, tolerances) = float(np.sum(factors.factor)), factors.request
+    return (
+        f"{scene.name}: {len(scene.patches())} patches at {view.width}x{view.height},"
+        f" method {label_of(method)}, tolerance {tolerances.pixels:g} px, sum of factors {total:.3f}"
+    )

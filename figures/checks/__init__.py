@@ -1,0 +1,1 @@
+"""Pictures of one scene's numbers, and of digits that are kept."""
