@@ -25,6 +25,7 @@ from slefejax.errors import InputError
 from slefejax.experiments.tables import Row, strict, write_tables
 
 PACKAGES = ("slefejax", "jax", "jaxlib", "numpy", "scipy", "scikit-image", "trimesh", "moderngl", "matplotlib")
+_COLUMNS = 3  # grows when rows get other columns, or other meanings: what was stopped before is not gone on with
 
 
 class Run:
@@ -39,7 +40,7 @@ class Run:
         self.experiment, self.arguments = experiment, arguments
         self._out = out.resolve() if out else None
         self.parent = self._out.parent if self._out else Path("runs") / experiment
-        asked = [experiment, arguments, inputs, str(self._out), _versions(), _commit()]
+        asked = [experiment, arguments, inputs, str(self._out), _versions(), _commit(), _COLUMNS]
         text = json.dumps(asked, sort_keys=True, default=str)
         self.work = self.parent / f".{experiment}-{digest(text.encode())}.partial"
         self._rows_file = self.work / _ROWS

@@ -27,12 +27,24 @@ _LISTED = 40  # names in a sentence
 
 
 def is_whole(value: Any, lowest: int) -> bool:
-    """Whether ``value`` is an integer (no bool, no float) of at least ``lowest``."""
+    """Whether ``value`` is an integer (no bool, no float) of at least ``lowest``.
+
+    >>> is_whole(3, 1), is_whole(3.0, 1), is_whole(True, 1)
+    (True, False, False)
+    """
     return isinstance(value, (int, np.integer)) and not isinstance(value, bool) and int(value) >= lowest
 
 
 def check_segments(segments: Any) -> int:
-    """The number of segments, or InputError unless it is a whole number of at least 1."""
+    """The number of segments, or InputError unless it is a whole number of at least 1.
+
+    >>> check_segments(3)
+    3
+    >>> check_segments(0)
+    Traceback (most recent call last):
+        ...
+    slefejax.errors.InputError: the number of segments must be a whole number of at least 1, not 0
+    """
     if not is_whole(segments, 1):
         raise InputError(
             f"the number of segments must be a whole number of at least 1, not {segments!r}", options=("segments",)
@@ -41,7 +53,14 @@ def check_segments(segments: Any) -> int:
 
 
 def check_temperature(smooth: Any) -> None:
-    """InputError unless this is a temperature of soft maxima, or None."""
+    """InputError unless this is a temperature of soft maxima, or None.
+
+    >>> check_temperature(0.01)
+    >>> check_temperature(2)
+    Traceback (most recent call last):
+        ...
+    slefejax.errors.InputError: smooth is a temperature of at most 1, not 2: 0.01 or less is close to the maximum
+    """
     if smooth is None:
         return
     if isinstance(smooth, bool):
@@ -55,13 +74,23 @@ def check_temperature(smooth: Any) -> None:
 
 
 def check_whole(name: str, value: Any, lowest: int) -> None:
-    """InputError unless the number is a whole one of at least ``lowest``."""
+    """InputError unless the number is a whole one of at least ``lowest``.
+
+    >>> check_whole("tiles", 2.5, 1)
+    Traceback (most recent call last):
+        ...
+    slefejax.errors.InputError: tiles must be a whole number of at least 1, not 2.5
+    """
     if not is_whole(value, lowest):
         raise InputError(f"{name} must be a whole number of at least {lowest}, not {value!r}", options=(name,))
 
 
 def segment_pair(segments: Segments) -> tuple[int, int]:
-    """(m_u, m_v) from one number or two, or InputError."""
+    """(m_u, m_v) from one number or two, or InputError.
+
+    >>> segment_pair(3), segment_pair((2, 4))
+    ((3, 3), (2, 4))
+    """
     pair = tuple(segments) if isinstance(segments, (tuple, list)) else (segments, segments)
     if len(pair) != 2:
         raise InputError(
@@ -71,7 +100,15 @@ def segment_pair(segments: Segments) -> tuple[int, int]:
 
 
 def check_axis(axis: Any, rank: int) -> int:
-    """The axis, or InputError unless an array of that rank has it."""
+    """The axis, or InputError unless an array of that rank has it.
+
+    >>> check_axis(-1, 3)
+    -1
+    >>> check_axis(3, 3)
+    Traceback (most recent call last):
+        ...
+    slefejax.errors.InputError: axis 3 is none of an array with 3 axes
+    """
     if not is_whole(axis, -rank) or axis >= rank:
         raise InputError(f"axis {axis!r} is none of an array with {rank} axes")
     return int(axis)
@@ -84,7 +121,13 @@ def check_concrete(what: str, *values: Any) -> None:
 
 
 def check_positive(name: str, value: Number) -> None:
-    """InputError unless the number is positive and finite."""
+    """InputError unless the number is positive and finite.
+
+    >>> check_positive("tolerance", 0.0)
+    Traceback (most recent call last):
+        ...
+    slefejax.errors.InputError: tolerance must be a positive number, not 0.0
+    """
     if isinstance(value, Tracer):
         return
     try:
@@ -97,7 +140,13 @@ def check_positive(name: str, value: Number) -> None:
 
 
 def check_not_negative(name: str, value: Number) -> None:
-    """InputError unless the number is finite and at least 0."""
+    """InputError unless the number is finite and at least 0.
+
+    >>> check_not_negative("weld", -1)
+    Traceback (most recent call last):
+        ...
+    slefejax.errors.InputError: weld must be a number of at least 0, not -1
+    """
     try:
         fine = np.ndim(value) == 0 and not isinstance(value, bool) and bool(np.isfinite(value)) and value >= 0
     except (TypeError, ValueError):
@@ -107,7 +156,13 @@ def check_not_negative(name: str, value: Number) -> None:
 
 
 def check_choice(what: str, value: Any, choices: Collection[str]) -> None:
-    """InputError unless the value is one of the names; ``what``: a method, a scheme."""
+    """InputError unless the value is one of the names; ``what``: a method, a scheme.
+
+    >>> check_choice("spacing", "even", ("equal", "fractional-even"))
+    Traceback (most recent call last):
+        ...
+    slefejax.errors.InputError: there is no spacing 'even': choose one of equal, fractional-even
+    """
     if not isinstance(value, str) or value not in choices:
         raise InputError(no_such(what, value, choices))
 
@@ -126,14 +181,22 @@ def no_such(what: str, value: Any, choices: Collection[str]) -> str:
 
 
 def did_you_mean(value: Any, choices: Iterable[str]) -> str:
-    """In brackets, behind a space, the name that was meant most likely; nothing if none is near."""
+    """In brackets, behind a space, the name that was meant most likely; nothing if none is near.
+
+    >>> did_you_mean("teapott", ["teapot", "walker"])
+    ' (did you mean teapot?)'
+    """
     names = {name.lower(): name for name in choices}
     near = get_close_matches(str(value).lower(), list(names), 1)
     return f" (did you mean {names[near[0]]}?)" if near else ""
 
 
 def imported(name: str, what: str) -> Any:
-    """The value of ``module:name``. Raises InputError if there is none; ``what``: a method, a scheme."""
+    """The value of ``module:name``. Raises InputError if there is none; ``what``: a method, a scheme.
+
+    >>> imported("math:floor", "method")(2.5)
+    2
+    """
     module, _, inside = name.partition(":")
     try:
         return getattr(import_module(module), inside)
@@ -142,7 +205,11 @@ def imported(name: str, what: str) -> Any:
 
 
 def real_numbers(values: Any, what: str) -> Float[np.ndarray, "*shape"]:
-    """Values as an array of float64, or InputError."""
+    """Values as an array of float64, or InputError.
+
+    >>> real_numbers([[1, 2], [3, 4]], "levels").dtype.name
+    'float64'
+    """
     try:
         return np.asarray(values, np.float64)
     except (ValueError, TypeError, OverflowError):
@@ -153,6 +220,9 @@ def floating(values: Numbers) -> Any:
     """Numbers as an array of float32 or float64, whichever they are, or InputError.
 
     Half precision becomes float32; anything else, whole numbers too, float64, on the host, whether JAX has that or not.
+
+    >>> floating([[1, 2]]).tolist(), floating(np.float32([1.5])).dtype.name
+    ([[1.0, 2.0]], 'float32')
     """
     if not isinstance(values, (jax.Array, np.ndarray)) and hasattr(values, "__jax_array__"):  # packed patches
         values = values.__jax_array__()
@@ -177,7 +247,13 @@ def floating(values: Numbers) -> Any:
 
 
 def check_patches(patches: Patches, dims: tuple[int, ...] | None = (3, 4)) -> Any:
-    """Patches as a floating-point array of rank 4, or InputError that says what is wrong with its shape."""
+    """Patches as a floating-point array of rank 4, or InputError that says what is wrong with its shape.
+
+    >>> check_patches(np.zeros((2, 4, 4, 2)))
+    Traceback (most recent call last):
+        ...
+    slefejax.errors.InputError: control points must have 3 or 4 coordinates, not 2
+    """
     patches = floating(patches)
     if patches.ndim != 4:
         raise InputError(f"patches must have shape (patches, du+1, dv+1, 3), not {tuple(patches.shape)}")
@@ -191,7 +267,13 @@ def check_patches(patches: Patches, dims: tuple[int, ...] | None = (3, 4)) -> An
 
 
 def check_weights(patches: Any) -> None:
-    """InputError unless all weights of rational patches are positive and finite; the others pass."""
+    """InputError unless all weights of rational patches are positive and finite; the others pass.
+
+    >>> check_weights(np.zeros((1, 2, 2, 4)))
+    Traceback (most recent call last):
+        ...
+    slefejax.errors.InputError: the weights of rational patches must be positive: patch 0 (counted from 0) has 0
+    """
     if patches.shape[3] != 4 or isinstance(patches, Tracer):
         return
     weights = np.asarray(patches)[..., 3]
@@ -205,7 +287,11 @@ def check_weights(patches: Any) -> None:
 
 
 def whole_numbers(values: Any, what: str) -> Int[np.ndarray, "*shape"]:
-    """Values as an array of whole numbers, or InputError."""
+    """Values as an array of whole numbers, or InputError.
+
+    >>> whole_numbers([1.0, 2.0], "factors").tolist()
+    [1, 2]
+    """
     try:
         found = np.asarray(values)
         with np.errstate(invalid="ignore"):

@@ -48,7 +48,14 @@ COMMAND_LINE = {"fov_y": "fov", "width": "size", "height": "size"}
 
 @contextmanager
 def naming(where: object) -> Iterator[None]:
-    """Within, an InputError says what it is about: a file or a scene is put in front unless the message names it."""
+    """Within, an InputError says what it is about: a file or a scene is put in front unless the message names it.
+
+    >>> with naming("a.obj"):
+    ...     raise InputError("there is no face 7")
+    Traceback (most recent call last):
+        ...
+    slefejax.errors.InputError: a.obj: there is no face 7
+    """
     try:
         yield
     except InputError as error:

@@ -22,6 +22,7 @@ from slefejax.experiments.studies.camera_path import camera_path
 from slefejax.experiments.studies.frames import Frames, frame_levels, moves_of_pixels
 from slefejax.experiments.studies.modes import MODES
 from slefejax.gpu.renderer import GBuffer
+from tests.tables import TABLES
 from tests.test_cli import run_json
 
 SMALL = ["--size", "240x150", "--frames", "3", "--seconds", "0.05"]
@@ -55,7 +56,7 @@ def test_animate(device, capsys, walker):
     assert looking["skinning_ms"] == looking["boxes_ms"] == 0.0 < looking["view_ms"]
     assert static["skinning_ms"] == static["boxes_ms"] == static["view_ms"] == 0.0
     assert min(moving[name] for name in ("skinning_ms", "boxes_ms", "view_ms", "render_ms")) > 0
-    names = {"table.csv", "run.json", "modes.csv", "timeline.png", "work.png", "animation.gif"}
+    names = TABLES | {"run.json", "modes.csv", "timeline.png", "work.png", "animation.gif"}
     assert set(os.listdir(result["out"])) == names | {f"frame_{k:04d}.png" for k in range(3)}
     film: Any = Image.open(f"{result['out']}/animation.gif")
     assert (film.n_frames, film.info["duration"]) == (3, 330)  # 8 of 24 frames a second

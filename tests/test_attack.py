@@ -81,6 +81,7 @@ def test_a_factor_that_is_two_per_cent_too_small_is_found(too_small):
     check_found(attack("saddle", "tiles-1", 1), most=1056)
 
 
+@pytest.mark.slow
 def test_a_ring_constant_that_is_five_per_cent_too_small_is_found(short_rings):
     check_found(attack("cylinder", "drawn", 1), most=352)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import doctest
 import json
 import re
@@ -24,6 +25,17 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 LANGUAGES = {"", "python", "json"}
 WITH_EXAMPLES = sorted(name for name, path in modules().items() if ">>>" in path.read_text())
+
+
+def test_half_of_what_is_public_has_an_example():
+    """One that runs: functions and classes of the computations."""
+    public = [
+        ast.get_docstring(node) or ""
+        for path in modules().values()
+        for node in ast.parse(path.read_text()).body
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_")
+    ]
+    assert sum(">>>" in text for text in public) >= 0.5 * len(public)
 
 
 @pytest.mark.parametrize("name", WITH_EXAMPLES)

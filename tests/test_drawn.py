@@ -42,8 +42,9 @@ def exact_errors(a, b, c, inner):
     return worst
 
 
-@pytest.mark.parametrize("anisotropic", [pytest.param(False, marks=pytest.mark.slow), True])
-@pytest.mark.parametrize("verify", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.slow
+@pytest.mark.parametrize("anisotropic", [False, True])
+@pytest.mark.parametrize("verify", [False, True])
 def test_saddles_hold_with_the_levels_that_are_drawn(rng, anisotropic, verify):
     """A cell that is narrower one way can have a larger error: a and c cancel less."""
     count = 60 if verify else 2000

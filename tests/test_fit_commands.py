@@ -10,6 +10,7 @@ import pytest
 
 from slefejax import load
 from slefejax.experiments.cli import main
+from tests.tables import TABLES
 from tests.test_cli import run_json
 
 FAST = ["--method", "slefe", "--segments", "1"]
@@ -54,7 +55,7 @@ def test_budget(capsys, by):
         assert row["budget"] == wanted
         assert 0.99 <= row["share_of_budget"] <= 1.0
         assert row["met"] == "within 1 %"
-    assert set(os.listdir(result["out"])) == {"budget.png", "table.csv", "run.json"}
+    assert set(os.listdir(result["out"])) == TABLES | {"budget.png", "run.json"}
 
 
 @pytest.mark.slow
@@ -86,7 +87,7 @@ def test_optimise(capsys):
     teapot = load("teapot").patches()
     assert np.array_equal(moved[:, [0, -1]], teapot[:, [0, -1]])
     assert surface["control_points_moved_by"] == pytest.approx(np.linalg.norm(moved - teapot, axis=-1).max())
-    names = {"optimise.png", "optimised.bpt", "patches.csv", "table.csv", "run.json"}
+    names = TABLES | {"optimise.png", "optimised.bpt", "patches.csv", "run.json"}
     assert set(os.listdir(result["out"])) == names
 
 

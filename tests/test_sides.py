@@ -77,6 +77,7 @@ def test_neighbours_have_the_same_vertices_with_fractional_spacing(device, scene
         assert np.array_equal(one, other)
 
 
+@pytest.mark.slow
 def test_no_pixel_shows_the_far_side(device, scenes, tmp_path):
     """Through a closed surface nothing behind it is seen; levels keep the tolerance; unwelded there are holes."""
     from slefejax.gpu import Renderer

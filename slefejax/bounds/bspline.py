@@ -63,6 +63,10 @@ def bspline_slefe_boxes(net: Numbers, degree: Any, segments: Segments) -> Slefe:
     returns  : ``.lower`` and ``.upper``, ``((nu-degree) m_u + 1, (nv-degree) m_v + 1, ...)``
 
     Raises InputError as ``bspline_slefe`` does.
+
+    >>> control = np.zeros((5, 6, 3))
+    >>> bspline_slefe_boxes(control, 3, 2).upper.shape
+    (5, 7, 3)
     """
     m_u, m_v = segment_pair(segments)
     across = bspline_slefe(net, degree, m_v, axis=1)
@@ -75,6 +79,9 @@ def basis_pieces(degree: int) -> tuple[tuple[Fraction, ...], ...]:
     """Exact Bézier coefficients of the uniform B-spline of that degree on its degree + 1 knot intervals.
 
     By N_n' = N_(n-1)(t) - N_(n-1)(t - 1), starting from the box function.
+
+    >>> [[str(c) for c in piece] for piece in basis_pieces(1)]
+    [['0', '1'], ['1', '0']]
     """
     if degree == 0:
         return ((Fraction(1),),)

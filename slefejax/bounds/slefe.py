@@ -45,14 +45,23 @@ _SECOND = 4.0
 
 
 class SlefeTable(NamedTuple):
-    """Breakpoint values of the bounds of a_1 ... a_(d-1): row j-1 belongs to a_j, one column a breakpoint."""
+    """Breakpoint values of the bounds of a_1 ... a_(d-1): row j-1 belongs to a_j, one column a breakpoint.
+
+    >>> table = slefe_table(2, 1)
+    >>> table.upper.tolist(), table.lower.round(6).tolist()
+    ([[0.0, 0.0]], [[-0.25, -0.25]])
+    """
 
     lower: Float[np.ndarray, "rows breakpoints"]
     upper: Float[np.ndarray, "rows breakpoints"]
 
 
 class Slefe(NamedTuple):
-    """Breakpoint values of a piecewise-linear enclosure, ``lower <= p <= upper`` between them too."""
+    """Breakpoint values of a piecewise-linear enclosure, ``lower <= p <= upper`` between them too.
+
+    >>> slefe([0.0, 1.0], 1).lower.tolist()
+    [0.0, 1.0]
+    """
 
     lower: Any
     upper: Any
@@ -139,6 +148,9 @@ class Signs(NamedTuple):
 
     alike : axes of the second differences ``(b, *rest)`` whose numbers have one unit
     wider : what is added to smooth sizes besides
+
+    >>> [(float(p), float(n)) for p, n in Signs().parted([jnp.array(2.0), jnp.array(-3.0)])]
+    [(2.0, 0.0), (0.0, -3.0)]
     """
 
     maxima: Maxima = EXACT
@@ -168,7 +180,12 @@ _PLAIN = Signs()
 
 
 def enclose(coefficients: Float[Array, "n *rest"], segments: int, signs: Signs = _PLAIN) -> tuple[Any, Any]:
-    """Lower and upper breakpoint values along the first axis, for use inside kernels ([YBP12], (2))."""
+    """Lower and upper breakpoint values along the first axis, for use inside kernels ([YBP12], (2)).
+
+    >>> lower, upper = enclose(jnp.array([0.0, 0.0, 1.0]), 1)
+    >>> lower.round(3).tolist(), upper.round(3).tolist()
+    ([-0.25, 0.75], [0.0, 1.0])
+    """
     table = _table_of(coefficients, segments)
     if not signs.maxima.exact or table.lower.size > TUNING.unrolled_entries:
         return enclose_at(coefficients[:, None], segments, signs)
@@ -183,7 +200,13 @@ def enclose(coefficients: Float[Array, "n *rest"], segments: int, signs: Signs =
 
 
 def enclose_at(coefficients: Float[Array, "n b *rest"], segments: int, signs: Signs = _PLAIN) -> tuple[Any, Any]:
-    """Breakpoint values ``(m+1, *rest)``, breakpoint k from the coefficients ``[:, k]``; of b = 1 all from the same."""
+    """Breakpoint values ``(m+1, *rest)``, breakpoint k from the coefficients ``[:, k]``; of b = 1 all from the same.
+
+    >>> each = jnp.array([[0.0, 0.0], [0.0, 1.0], [1.0, 1.0]])  # two parabolas, one for each breakpoint
+    >>> lower, upper = enclose_at(each, 1)
+    >>> lower.round(3).tolist(), upper.round(3).tolist()
+    ([-0.25, 1.0], [0.0, 1.25])
+    """
     column, table = _column(coefficients), _table_of(coefficients, segments)
     signed = signs.parted(list(second_differences(coefficients)) if len(table.lower) else [])
     numbers = (_breakpoints(coefficients, segments)[column], table.lower[:, *column], table.upper[:, *column])
@@ -236,6 +259,11 @@ def outward(bounds: tuple[Any, Any], coefficients: Float[Array, "n *rest"], segm
     With A the largest |c_j|, T_j the largest entry of a table's row, S their sum and u half an eps: second differences
     are off by 8 u A and at most 4 A, so their products with the table by 16 u A T_j; the chord is off by 5 u A; d sums
     of up to A (1 + 4 S), and this subtraction, add (d + 1) u A (1 + 4 S). Tables are outward themselves.
+
+    >>> bounds = jnp.array([1.0]), jnp.array([1.0])
+    >>> lower, upper = outward(bounds, jnp.array([1.0, 1.0, 1.0]), 1)
+    >>> bool(lower < 1.0 < upper)
+    True
     """
     degree = coefficients.shape[0] - 1
     if degree == 1 and segments == 1:
@@ -246,7 +274,11 @@ def outward(bounds: tuple[Any, Any], coefficients: Float[Array, "n *rest"], segm
 
 
 def rounding(coefficients: Float[Array, "n *rest"], times: float) -> Any:
-    """So many eps of the largest size of coefficients along the first axis; more where numbers underflow."""
+    """So many eps of the largest size of coefficients along the first axis; more where numbers underflow.
+
+    >>> float(rounding(jnp.array([1.0, -4.0]), 2.0)) == 8.0 * 2.0**-52
+    True
+    """
     largest, kind = jnp.max(jnp.abs(coefficients), axis=0), jnp.finfo(coefficients.dtype)
     tiny = (largest > 0) & (largest < kind.tiny / kind.eps)
     return times * kind.eps * largest + jnp.where(tiny, 64.0 * coefficients.shape[0] * kind.tiny, 0.0)

@@ -30,14 +30,23 @@ OUTWARD = 2.0**-48
 
 
 def basis_coefficients(degree: int, j: int) -> list[Fraction]:
-    """Exact Bézier coefficients of a_j: -i (d-j)/d up to i = j, -j (d-i)/d from there (docs/math.md, 2)."""
+    """Exact Bézier coefficients of a_j: -i (d-j)/d up to i = j, -j (d-i)/d from there (docs/math.md, 2).
+
+    >>> [str(c) for c in basis_coefficients(3, 1)]
+    ['0', '-2/3', '-1/3', '0']
+    """
     return [Fraction(-min(i * (degree - j), j * (degree - i)), degree) for i in range(degree + 1)]
 
 
 def build_table(
     degree: int, segments: int
 ) -> tuple[Float[np.ndarray, "rows breakpoints"], Float[np.ndarray, "rows breakpoints"]]:
-    """(lower, upper) of ``slefe_table``; half of the rows are computed, the others are their mirror images."""
+    """(lower, upper) of ``slefe_table``; half of the rows are computed, the others are their mirror images.
+
+    >>> lower, upper = build_table(2, 2)
+    >>> upper.round(6).tolist()
+    [[0.0, -0.25, 0.0]]
+    """
     lower = np.empty((degree - 1, segments + 1))
     upper = np.empty((degree - 1, segments + 1))
     for j in range(1, degree // 2 + 1):

@@ -81,7 +81,12 @@ def _tiles(control: Any, segments: tuple[int, int]) -> tuple[Any, Any]:
 
 
 def restrict_to_tiles(control: Any, segments: tuple[int, int]) -> Any:
-    """Control points ``(du+1, dv+1, dim, m_u, m_v, lanes)`` of every tile, by blossoming in u and in v."""
+    """Control points ``(du+1, dv+1, dim, m_u, m_v, lanes)`` of every tile, by blossoming in u and in v.
+
+    >>> line = jnp.array([0.0, 1.0]).reshape(2, 1, 1, 1) * jnp.ones((2, 2, 1, 1))
+    >>> restrict_to_tiles(line, (2, 1))[:, 0, 0, :, 0, 0].tolist()
+    [[0.0, 0.5], [0.5, 1.0]]
+    """
     own = control[:, :, :, None, None]
     for axis, m in enumerate(segments):
         start = (np.arange(m) / m).reshape((m, 1, 1) if axis == 0 else (1, m, 1))

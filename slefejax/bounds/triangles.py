@@ -18,7 +18,11 @@ _CUBIC = 1.0 / (12.0 * 27.0**0.5)  # the largest (1 - z^2) z / 24
 
 @dataclass(frozen=True)
 class HalfCells:
-    """Halves, along either diagonal, of boxes with sides from ``evenness`` times extent/n to extent/n."""
+    """Halves, along either diagonal, of boxes with sides from ``evenness`` times extent/n to extent/n.
+
+    >>> HalfCells().bend(jnp.array(1.0), jnp.array(0.0), jnp.array(1.0)).item()  # u^2 + v^2: both halves
+    2.0
+    """
 
     extent: Extent = (1.0, 1.0)
     evenness: Any = 1.0
@@ -44,7 +48,11 @@ class HalfCells:
 
 @dataclass(frozen=True)
 class AnyTriangle:
-    """Triangles of any shape that lie in boxes with sides of at most extent/n."""
+    """Triangles of any shape that lie in boxes with sides of at most extent/n.
+
+    >>> AnyTriangle().bend(jnp.array(1.0), jnp.array(0.0), jnp.array(-1.0)).item()
+    1.0
+    """
 
     extent: Extent = (1.0, 1.0)
 
@@ -66,5 +74,9 @@ Triangles = HalfCells | AnyTriangle
 
 
 def sum_of_sizes(a: Any, b: Lanes, c: Any, maxima: Maxima = EXACT) -> Lanes:
-    """abs(a) + 2 abs(b) + abs(c); None for what is 0."""
+    """abs(a) + 2 abs(b) + abs(c); None for what is 0.
+
+    >>> sum_of_sizes(jnp.array(-1.0), jnp.array(2.0), None).item()
+    5.0
+    """
     return nets.total(maxima.sizes([b + b, *(x for x in (a, c) if x is not None)]))

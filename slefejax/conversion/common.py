@@ -16,17 +16,30 @@ Block = np.ndarray
 
 
 def blocks_of(patches: Sequence[np.ndarray]) -> list[Block]:
-    """Patches of any shapes, as blocks of those of one shape that follow each other."""
+    """Patches of any shapes, as blocks of those of one shape that follow each other.
+
+    >>> [block.shape for block in blocks_of([np.zeros((2, 2, 3)), np.ones((2, 2, 3)), np.zeros((4, 4, 3))])]
+    [(2, 2, 2, 3), (1, 4, 4, 3)]
+    """
     return [np.stack(list(alike)) for _, alike in groupby(patches, key=lambda patch: patch.shape)]
 
 
 def patches_of(blocks: list[Block]) -> list[np.ndarray]:
-    """Patch by patch, without a copy."""
+    """Patch by patch, without a copy.
+
+    >>> len(patches_of([np.zeros((2, 4, 4, 3)), np.zeros((3, 2, 2, 3))]))
+    5
+    """
     return [patch for block in blocks for patch in block]
 
 
 def common_weights(blocks: list[Block]) -> tuple[list[Block], tuple[str, ...]]:
-    """Blocks that are all rational or all polynomial, and what that took."""
+    """Blocks that are all rational or all polynomial, and what that took.
+
+    >>> blocks, notes = common_weights([np.zeros((1, 2, 2, 3)), np.ones((2, 2, 2, 4))])
+    >>> blocks[0][..., 3].tolist(), notes
+    ([[[1.0, 1.0], [1.0, 1.0]]], ('1 of 3 patches got weights of 1, as others are rational',))
+    """
     plain = [block.shape[3] == 3 for block in blocks]
     if all(plain) or not any(plain):
         return blocks, ()
@@ -40,7 +53,12 @@ def common_weights(blocks: list[Block]) -> tuple[list[Block], tuple[str, ...]]:
 
 
 def common_degree(blocks: list[Block]) -> tuple[Block, tuple[str, ...]]:
-    """Patches raised to the highest degrees along u and along v, as one array, and what that took."""
+    """Patches raised to the highest degrees along u and along v, as one array, and what that took.
+
+    >>> whole, notes = common_degree([np.zeros((1, 2, 2, 3)), np.zeros((2, 4, 3, 3))])
+    >>> whole.shape, notes
+    ((3, 4, 3, 3), ('1 of 3 patches were raised to bi-degree 3 x 2, the highest here',))
+    """
     du, dv = (max(block.shape[axis] for block in blocks) - 1 for axis in (1, 2))
     raised = sum(len(block) for block in blocks if block.shape[1:3] != (du + 1, dv + 1))
     whole = np.concatenate([_raised(block, du, dv) for block in blocks]) if len(blocks) > 1 else blocks[0]

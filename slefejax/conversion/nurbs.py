@@ -154,5 +154,9 @@ def _merged(rows: Any, control: np.ndarray) -> tuple[StencilTable, Int[np.ndarra
 
 
 def uniform_knots(count: int, degree: int) -> Float[np.ndarray, "knots"]:
-    """The knots of a uniform B-spline, one apart, none repeated: its domain is 0 ... count - degree."""
+    """The knots of a uniform B-spline, one apart, none repeated: its domain is 0 ... count - degree.
+
+    >>> uniform_knots(4, 2).tolist()
+    [-2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 4.0]
+    """
     return np.arange(count + degree + 1, dtype=np.float64) - degree

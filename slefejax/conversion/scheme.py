@@ -102,7 +102,12 @@ class Acc(_WithPoints):
 
 
 class Pinched(_WithPoints):
-    """The same, and pinched quads for triangles [Yeo12]."""
+    """The same, and pinched quads for triangles [Yeo12].
+
+    >>> from slefejax import load
+    >>> load("walker", scheme=Pinched()).patches().shape[1:]
+    (4, 4, 3)
+    """
 
     name = "pinched"
 

@@ -63,6 +63,12 @@ def welded(patches: list[Patch], tolerance: float) -> tuple[list[Patch], tuple[s
 
     Raises InputError where rational sides are one but for weights that no factors bring together, with the numbers of
     the patches.
+
+    >>> one = np.array([[[0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0]]], float)
+    >>> other = one + [1.0, 1e-9, 0.0]
+    >>> patches, notes = welded([one, other], 1e-6)
+    >>> np.array_equal(patches[0][1], patches[1][0])
+    True
     """
     size = size_of(patches)
     rational = patches[0].shape[2] == 4
@@ -89,19 +95,30 @@ def weld_tolerance(patches: list[Patch], digits: float | None) -> float:
 
     digits : what a file's digits leave open (``slefejax.io.content``); None: 1e-6 of the size of the scene. Never less
              than the rounding of a program that computes in float64
+
+    >>> weld_tolerance([np.array([[[0, 0, 0], [1, 0, 0]], [[0, 3, 0], [1, 3, 0]]], float)], None)
+    3e-06
     """
     rounding = _ROUNDINGS * np.finfo(np.float64).eps * max(float(np.abs(patch[..., :3]).max()) for patch in patches)
     return max(rounding, _UNKNOWN_DIGITS * size_of(patches) if digits is None else digits)
 
 
 def size_of(patches: list[Patch]) -> float:
-    """The longest side of the box around all control points, in scene units."""
+    """The longest side of the box around all control points, in scene units.
+
+    >>> size_of([np.array([[[0, 0, 0], [1, 0, 0]], [[0, 3, 0], [1, 3, 0]]], float)])
+    3.0
+    """
     points = np.concatenate([places(patch).reshape(-1, 3) for patch in patches])
     return float(np.max(np.ptp(points, axis=0)))
 
 
 def places(points: Float[np.ndarray, "*rest dim"]) -> Float[np.ndarray, "*rest 3"]:
-    """Where control points lie in space: divided by their weights, if there are any."""
+    """Where control points lie in space: divided by their weights, if there are any.
+
+    >>> places(np.array([[2.0, 4.0, 6.0, 2.0]])).tolist()
+    [[1.0, 2.0, 3.0]]
+    """
     return points if points.shape[-1] == 3 else points[..., :3] / points[..., 3:]
 
 

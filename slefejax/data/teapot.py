@@ -66,7 +66,11 @@ def _mirrored_halves(sections: list[tuple]) -> list[np.ndarray]:
 
 
 def teapot() -> Float[np.ndarray, "32 4 4 3"]:
-    """Control points ``(32, 4, 4, 3)``: rim, body, handle, spout, lid, bottom."""
+    """Control points ``(32, 4, 4, 3)``: rim, body, handle, spout, lid, bottom.
+
+    >>> teapot().shape
+    (32, 4, 4, 3)
+    """
     parts = [_quarter_turns(profile, True) for profile in (RIM, UPPER_BODY, LOWER_BODY)]
     parts += [_mirrored_halves(part) for part in (HANDLE_TOP, HANDLE_BOTTOM, SPOUT_BASE, SPOUT_TIP)]
     parts += [_quarter_turns(profile, True) for profile in (KNOB, LID)]

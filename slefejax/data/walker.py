@@ -64,7 +64,12 @@ _KEYS = (
 
 
 def walker() -> Content:
-    """The control mesh and the rig."""
+    """The control mesh and the rig.
+
+    >>> content = walker()
+    >>> content.mesh is not None, content.rig is not None
+    (True, True)
+    """
     mesh = _with_triangles(_figure())
     names, parents, heads, tails = _bones()
     bind = np.tile(np.eye(4), (len(names), 1, 1))

@@ -39,7 +39,11 @@ def bernstein(degree: int, t: Values) -> list[Values]:
 
 
 def combine(coefficients: Values, basis: list[Values]) -> Values:
-    """The sum of coefficients[j] * basis[j] over the first axis."""
+    """The sum of coefficients[j] * basis[j] over the first axis.
+
+    >>> float(combine(np.array([1.0, 2.0]), [0.25, 0.75]))
+    1.75
+    """
     total = coefficients[0] * basis[0]
     for c, b in zip(coefficients[1:], basis[1:], strict=True):
         total = total + c * b
@@ -60,6 +64,10 @@ def evaluate_patch(coefficients: Float[Array | np.ndarray, "nu nv *rest"], u: Va
 
     ``u`` and ``v`` broadcast against ``rest``: with one patch ``(du+1, dv+1, 3, 1)`` and parameters
     ``(n,)`` the result is ``(3, n)``.
+
+    >>> bilinear = np.array([[0.0, 0.0], [0.0, 1.0]])[..., None]
+    >>> evaluate_patch(bilinear, 0.5, 0.5).tolist()
+    [0.25]
     """
     across = bernstein(coefficients.shape[1] - 1, v)
     rows = [combine(row, across) for row in coefficients]
@@ -95,12 +103,20 @@ def evaluate_patches(patches: Patches, parameters: Numbers) -> Float[Array | np.
 
 
 def second_differences(coefficients: Shaped[Array | np.ndarray, "n *rest"]) -> Values:
-    """The second differences c_(j-1) - 2 c_j + c_(j+1), j = 1 ... d-1, along the first axis (docs/math.md, 2)."""
+    """The second differences c_(j-1) - 2 c_j + c_(j+1), j = 1 ... d-1, along the first axis (docs/math.md, 2).
+
+    >>> second_differences(np.array([0.0, 0.0, 1.0, 4.0])).tolist()
+    [1.0, 2.0]
+    """
     return (coefficients[:-2] - coefficients[1:-1]) + (coefficients[2:] - coefficients[1:-1])
 
 
 def derivative(coefficients: Float[Array | np.ndarray, "n *rest"]) -> Values:
-    """Coefficients of p' along the first axis: d (c_(j+1) - c_j), degree d-1."""
+    """Coefficients of p' along the first axis: d (c_(j+1) - c_j), degree d-1.
+
+    >>> derivative(np.array([0.0, 1.0, 4.0])).tolist()
+    [2.0, 6.0]
+    """
     return (coefficients.shape[0] - 1) * (coefficients[1:] - coefficients[:-1])
 
 
@@ -127,6 +143,9 @@ def restrict(coefficients: Float[Array | np.ndarray, "n *rest"], start: Values, 
     """Coefficients of t -> p(start + t (end - start)) along the first axis, by blossoming (de Casteljau).
 
     Coefficient j is the blossom of p with d-j arguments ``start`` and j arguments ``end``.
+
+    >>> restrict(np.array([0.0, 0.0, 1.0]), 0.0, 0.5).tolist()  # t^2 on the first half
+    [0.0, 0.0, 0.25]
     """
     degree = coefficients.shape[0] - 1
     xp = np if isinstance(coefficients, np.ndarray) else jnp
@@ -155,7 +174,12 @@ def from_triangle(points: Float[np.ndarray, "n *rest"], degree: int) -> Float[np
 
 
 def tile_matrices(nu: int, nv: int, tiles: int) -> tuple[np.ndarray, np.ndarray]:
-    """Matrices that restrict coefficients to every tile, along u and along v, ``(tiles^2, d+1, d+1)``."""
+    """Matrices that restrict coefficients to every tile, along u and along v, ``(tiles^2, d+1, d+1)``.
+
+    >>> u, v = tile_matrices(2, 2, 2)
+    >>> u.shape, (u[0] @ [0.0, 1.0]).tolist(), (u[3] @ [0.0, 1.0]).tolist()
+    ((4, 2, 2), [0.0, 0.5], [0.5, 1.0])
+    """
     along = [[restrict(np.eye(n), k / tiles, (k + 1) / tiles) for k in range(tiles)] for n in (nu, nv)]
     pairs = [(u, v) for u in along[0] for v in along[1]]
     return np.stack([u for u, _ in pairs]), np.stack([v for _, v in pairs])

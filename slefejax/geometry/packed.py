@@ -31,6 +31,10 @@ class Packed:
     own   : chunks ``(chunks, du+1, dv+1, dim, lanes)`` (``lanes.layout``); None if they are made of those given
     count : how many patches there are
     rounded : whether the chunks have fewer digits than the patches had
+
+    >>> packed = pack(np.zeros((5, 4, 4, 3)))
+    >>> len(packed), packed.chunks.shape, packed.patches().shape
+    (5, (2, 4, 4, 3, 16), (5, 4, 4, 3))
     """
 
     given: Any
@@ -122,12 +126,21 @@ def pack(patches: Patches) -> Packed:
 
 
 def packed_numbers(net: Int[np.ndarray, "patches nu nv"]) -> Int[np.ndarray, "chunks nu nv lanes"]:
-    """Numbers of points, a net of them a patch, in the layout of the kernels."""
+    """Numbers of points, a net of them a patch, in the layout of the kernels.
+
+    >>> packed_numbers(np.arange(8).reshape(2, 2, 2)).shape
+    (2, 2, 2, 16)
+    """
     return np.asarray(layout.pack(net.astype(np.int32)))
 
 
 def chunks_of(points: Any, numbers: Any) -> Any:
-    """Control points ``(chunks, nu, nv, dim, lanes)`` of patches whose ``packed_numbers`` these are, by JAX."""
+    """Control points ``(chunks, nu, nv, dim, lanes)`` of patches whose ``packed_numbers`` these are, by JAX.
+
+    >>> points = np.arange(12.0).reshape(4, 3)
+    >>> chunks_of(jnp.asarray(points), packed_numbers(np.array([[[0, 1], [2, 3]]]))).shape
+    (2, 2, 2, 3, 16)
+    """
     return jnp.moveaxis(points.reshape(len(points), -1).T[:, numbers], 0, 3)
 
 

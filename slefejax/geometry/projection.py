@@ -18,6 +18,11 @@ class Projection(NamedTuple):
     """What factors need to know of a view, for points relative to an origin that is near to them or to the eye.
 
     Far from the world's origin digits would be lost otherwise, in single precision all of them a million sizes away.
+
+    >>> from slefejax import Camera
+    >>> view = View(Camera.look_at((0, -5, 0), (0, 0, 0)), 400, 300)
+    >>> Projection.of(view).half.tolist()
+    [200.0, 150.0, 0.5]
     """
 
     to_pixels: Any  # (4, 4): to undivided pixels from the picture's centre, half window depth, W
@@ -52,7 +57,12 @@ class Projection(NamedTuple):
 
 
 def undivided(rows: Any, points: list[Net]) -> list[Net]:
-    """Linear functions of points given by coordinates, three or four homogeneous ones: the rows of ``(r, 4)``."""
+    """Linear functions of points given by coordinates, three or four homogeneous ones: the rows of ``(r, 4)``.
+
+    >>> x, w = undivided(np.array([[2.0, 0, 0, 1], [0, 0, 1, 0]]), [np.array([3.0]), np.array([0.0]), np.array([5.0])])
+    >>> x.tolist(), w.tolist()
+    ([7.0], [5.0])
+    """
     return [nets.each(partial(_image, row), *points) for row in numbers(rows)]
 
 
@@ -62,19 +72,32 @@ def _image(row: list[Any], *point: Lanes) -> Lanes:
 
 
 def numbers(matrix: Any) -> list[list[Any]]:
-    """The entries, each taken out once: where they are used again and again, that is a third of the program."""
+    """The entries, each taken out once: where they are used again and again, that is a third of the program.
+
+    >>> numbers(np.eye(4))[1] == [0, 1, 0, 0]
+    True
+    """
     return [[row[a] for a in range(4)] for row in matrix]
 
 
 def reaches(row: Net, w: Net, half: Any) -> tuple[Lanes, Lanes]:
-    """How far inside of the planes row/W = -half and +half the innermost coefficients are; negative if outside."""
+    """How far inside of the planes row/W = -half and +half the innermost coefficients are; negative if outside.
+
+    >>> row, w = jnp.array([[[1.0]]]), jnp.array([[[2.0]]])
+    >>> [float(own[0]) for own in reaches(row, w, 3.0)]  # at 1/2, between -3 and 3, times W
+    [7.0, 5.0]
+    """
     return nets.top(nets.each(lambda x, y: half * y + x, row, w)), nets.top(
         nets.each(lambda x, y: half * y - x, row, w)
     )
 
 
 def relative(points: Any, origin: Any, axis: int = -2) -> Any:
-    """Points, three or four homogeneous coordinates along an axis, relative to an origin."""
+    """Points, three or four homogeneous coordinates along an axis, relative to an origin.
+
+    >>> relative(np.array([[2.0, 4.0, 6.0, 2.0]]), np.array([1.0, 1.0, 1.0]), axis=-1).tolist()
+    [[0.0, 2.0, 4.0, 2.0]]
+    """
     shape = [1] * points.ndim
     shape[axis] = 3
     origin = origin.reshape(shape)
@@ -86,7 +109,11 @@ def relative(points: Any, origin: Any, axis: int = -2) -> Any:
 
 
 def least_distance(dtype: Any) -> float:
-    """How small distances to the near plane may be, so that products of two such numbers keep their digits."""
+    """How small distances to the near plane may be, so that products of two such numbers keep their digits.
+
+    >>> least_distance(np.float32) < 2e-19
+    True
+    """
     return float(jnp.finfo(dtype).tiny) ** 0.5
 
 
@@ -100,7 +127,11 @@ def harmless(control: Any, projection: Projection, scale: Any = 1.0) -> Any:
 
 
 def positive(control: Any) -> Any:
-    """Whether all weights are; polynomial patches, ``(du+1, dv+1, 3, lanes)``, have none."""
+    """Whether all weights are; polynomial patches, ``(du+1, dv+1, 3, lanes)``, have none.
+
+    >>> bool(positive(jnp.ones((2, 2, 4, 1)))[0]), positive(jnp.ones((2, 2, 3, 1)))
+    (True, True)
+    """
     if control.shape[2] == 3:
         return True
     return jnp.all(control[:, :, 3] > 0, axis=(0, 1))

@@ -62,6 +62,11 @@ class Camera:
     extent          : vertical field of view in degrees, or the height of the picture in scene units
     near, far       : distances of the clipping planes from the eye, in scene units
     perspective     : whether there is perspective (static; all else may be traced)
+
+    >>> Camera.look_at((0, -5, 0), (0, 0, 0)).eye.tolist()
+    [0.0, -5.0, 0.0]
+    >>> Camera.orthographic((0, -5, 0), (0, 0, 0), height=2.0).perspective
+    False
     """
 
     eye: Any
@@ -217,7 +222,12 @@ class View:
 
 
 def bounding_sphere(points: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, float]:
-    """(centre, radius) of a sphere around points: the centre of their box, the distance of the furthest."""
+    """(centre, radius) of a sphere around points: the centre of their box, the distance of the furthest.
+
+    >>> centre, radius = bounding_sphere(np.array([[1.0, 0, 0], [-1.0, 0, 0]]))
+    >>> centre.tolist(), float(radius)
+    ([0.0, 0.0, 0.0], 1.0)
+    """
     if not np.max(np.abs(points)) < LARGEST:
         raise InputError(f"the scene's coordinates must be finite and below {LARGEST:g} to look at it")
     centre = (points.min(axis=0) + points.max(axis=0)) / 2.0
@@ -254,7 +264,11 @@ def turned_up(direction: Vector, up: Vector) -> np.ndarray:
 
 
 def homogeneous(points: Float[Array | np.ndarray, "*rest dim"]) -> Any:
-    """Points (x, y, z) become (x, y, z, 1); rational ones (w x, w y, w z, w) stay as they are."""
+    """Points (x, y, z) become (x, y, z, 1); rational ones (w x, w y, w z, w) stay as they are.
+
+    >>> homogeneous(np.array([[1.0, 2.0, 3.0]])).tolist()
+    [[1.0, 2.0, 3.0, 1.0]]
+    """
     if points.shape[-1] == 4:
         return points
     xp = np if isinstance(points, np.ndarray) else jnp
@@ -283,7 +297,13 @@ def _of_size_one(vector: Any) -> Any:
 
 
 def check_view(view: Any) -> None:
-    """InputError unless this is a view."""
+    """InputError unless this is a view.
+
+    >>> check_view("front")
+    Traceback (most recent call last):
+        ...
+    slefejax.errors.InputError: the view must be a slefejax.View (a camera and a picture size), not str
+    """
     if not isinstance(view, View):
         raise InputError(f"the view must be a slefejax.View (a camera and a picture size), not {type(view).__name__}")
 

@@ -43,14 +43,22 @@ def inside_of_tiles(lower: Any, upper: Any, frustum: Float[Array, "6 4"]) -> Net
 
 
 def tile_maxima(net: Net) -> Net:
-    """The largest of the values at the four corners of every tile."""
+    """The largest of the values at the four corners of every tile.
+
+    >>> tile_maxima(jnp.arange(9.0).reshape(3, 3, 1))[..., 0].tolist()
+    [[4.0, 5.0], [7.0, 8.0]]
+    """
     for _ in ("u", "v"):
         net = nets.transposed(nets.each(larger, net[:-1], net[1:]))
     return net
 
 
 def few(grid: Any) -> bool:
-    """Whether a grid is few enough boxes for one after the other, of which the compiler makes faster code."""
+    """Whether a grid is few enough boxes for one after the other, of which the compiler makes faster code.
+
+    >>> few(jnp.zeros((4, 4, 3, 16))), few(jnp.zeros((9, 9, 3, 16)))
+    (True, False)
+    """
     return grid.shape[0] * grid.shape[1] <= TUNING.unrolled_boxes
 
 

@@ -49,6 +49,9 @@ class Content:
     rig     : what moves the mesh, or None
     digits  : how far apart two copies of a point can be that were written with the file's digits, in its units along
               each coordinate; None where that cannot be told
+
+    >>> Content().up
+    (0.0, 0.0, 1.0)
     """
 
     mesh: Mesh | None = None

@@ -140,7 +140,11 @@ def _size(patches: Sequence[np.ndarray]) -> float:
 
 
 def parse_real(item: str) -> float | None:
-    """The number that a text stands for, or None."""
+    """The number that a text stands for, or None.
+
+    >>> parse_real("1e3"), parse_real("1_0")
+    (1000.0, None)
+    """
     try:
         return float(item) if "_" not in item else None
     except ValueError:
@@ -148,19 +152,31 @@ def parse_real(item: str) -> float | None:
 
 
 def parse_whole(item: str) -> int | None:
-    """The whole number, of nine digits at most, that a text stands for, or None."""
+    """The whole number, of nine digits at most, that a text stands for, or None.
+
+    >>> parse_whole("-12"), parse_whole("1.0")
+    (-12, None)
+    """
     digits = item[1:] if item[:1] == "-" else item
     return int(item) if digits.isascii() and digits.isdigit() and len(digits) < 10 else None
 
 
 def words_before(line: str, comment: str) -> Iterable[str]:
-    """The words of a line up to a comment, which begins where a word begins: ``a#1`` and ``1.#IND`` are words."""
+    """The words of a line up to a comment, which begins where a word begins: ``a#1`` and ``1.#IND`` are words.
+
+    >>> list(words_before("1 2 a#3 # rest", "#"))
+    ['1', '2', 'a#3']
+    """
     words = line.split()
     return words if comment not in line else takewhile(lambda word: not word.startswith(comment), words)
 
 
 def lines_of(data: bytes) -> io.TextIOWrapper:
-    """The lines of a text with any line ends, one after another: they are never all in memory."""
+    """The lines of a text with any line ends, one after another: they are never all in memory.
+
+    >>> list(lines_of(b"a\\rb\\r\\nc"))
+    ['a\\n', 'b\\n', 'c']
+    """
     return io.TextIOWrapper(io.BytesIO(data), "utf-8-sig", "replace", newline=None)
 
 

@@ -38,7 +38,11 @@ def _padded_shape(count: int) -> tuple[int, int]:
 
 
 def pack(items: Shaped[Array | np.ndarray, "count *rest"]) -> Shaped[Array, "chunks *rest lanes"]:
-    """Items first ``(count, *rest)`` become chunks ``(chunks, *rest, lanes)``, padded with the last item."""
+    """Items first ``(count, *rest)`` become chunks ``(chunks, *rest, lanes)``, padded with the last item.
+
+    >>> pack(np.zeros((5, 4, 4, 3))).shape  # two chunks of 16 lanes
+    (2, 4, 4, 3, 16)
+    """
     chunks, lanes = _padded_shape(items.shape[0])
     if not isinstance(items, Tracer):
         return jax.device_put(_packed_on_host(np.asarray(items), chunks, lanes), may_alias=True)
@@ -55,6 +59,9 @@ def through(run: Callable[[Any], Any], items: Any, dtype: Any = None) -> Any:
     run   : takes chunks, or a tuple of them, to chunks or ``Parts``
     items : an array ``(count, *rest)``, or a tuple of such arrays
     dtype : of the blocks; None: that of the items
+
+    >>> through(lambda chunks: 2.0 * chunks[:, 0], np.arange(3.0).reshape(3, 1)).tolist()
+    [0.0, 2.0, 4.0]
     """
     count = len(jax.tree.leaves(items)[0])
     size = next((size for size in TUNING.blocks if size >= count), TUNING.blocks[-1])
@@ -94,13 +101,21 @@ def _aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
 
 
 class Parts(NamedTuple):
-    """What several cores made, chunks of one after those of the other; never copied into one array."""
+    """What several cores made, chunks of one after those of the other; never copied into one array.
+
+    >>> unpack_on_host(Parts((np.zeros((1, 16)), np.ones((1, 16)))), 20).tolist().count(1.0)
+    4
+    """
 
     each: tuple[Any, ...]
 
 
 def unpack(chunks: Any, count: int) -> Any:
-    """The inverse of ``pack``, of an array or of ``Parts``: ``(count, *rest)`` without the padding."""
+    """The inverse of ``pack``, of an array or of ``Parts``: ``(count, *rest)`` without the padding.
+
+    >>> unpack(pack(np.arange(6.0).reshape(3, 2)), 3).tolist()
+    [[0.0, 1.0], [2.0, 3.0], [4.0, 5.0]]
+    """
     if isinstance(chunks, Tracer):
         return _unpacked(chunks, count, jnp)
     # jnp.asarray would compile a program for every count
@@ -108,7 +123,11 @@ def unpack(chunks: Any, count: int) -> Any:
 
 
 def unpack_on_host(chunks: Any, count: int) -> Shaped[np.ndarray, "count *rest"]:
-    """The same as a NumPy array."""
+    """The same as a NumPy array.
+
+    >>> unpack_on_host(pack(np.arange(3.0).reshape(3, 1)), 3).ravel().tolist()
+    [0.0, 1.0, 2.0]
+    """
     if isinstance(chunks, Parts):
         return np.concatenate([_unpacked(np.asarray(part), count, np) for part in chunks.each])[:count]
     return _unpacked(np.asarray(chunks), count, np)

@@ -22,6 +22,9 @@ def over_chunks(kernel: Callable[..., Any], packed: Any, *arguments: Any, apart:
              be moved out of the loop, which takes the compiler longer than the rest where it is differentiated
 
     Where no CPU computes, chunks are worked on side by side.
+
+    >>> over_chunks(lambda chunk, offset: chunk[0] + offset, jnp.zeros((2, 1, 16)), 3.0).shape
+    (2, 16)
     """
     in_turn = jax.default_backend() == "cpu"
     if apart and in_turn:
@@ -34,7 +37,11 @@ def over_chunks(kernel: Callable[..., Any], packed: Any, *arguments: Any, apart:
 
 
 def once(values: Any) -> Any:
-    """The same; the compiler makes them one time, instead of again inside of everything that uses them."""
+    """The same; the compiler makes them one time, instead of again inside of everything that uses them.
+
+    >>> once((jnp.array(1.0), 2.0))[0].item()
+    1.0
+    """
     # one a leaf: a barrier over values of which some are not differentiated fails from JAX 0.11.2 on
     return jax.tree.map(jax.lax.optimization_barrier, values)
 
@@ -44,6 +51,10 @@ class Chunked:
 
     With ``slopes`` the loop runs on constants, so that differentiation neither sees nor repeats it, and derivatives are
     those of another kernel: one that takes the compiler less long, or looks at what counts alone.
+
+    >>> double = Chunked(lambda chunk: 2.0 * chunk[0])
+    >>> double(jnp.ones((2, 1, 16))).sum().item()
+    64.0
     """
 
     def __init__(self, kernel: Callable[..., Any], apart: bool = False) -> None:
@@ -74,6 +85,12 @@ def chunked(kernel: Callable[..., Any] | None = None, *, apart: bool = False) ->
     """Decorates a kernel that ``Chunked`` runs.
 
     apart : as of ``over_chunks``
+
+    >>> @chunked
+    ... def power(chunk, *, order):
+    ...     return chunk[0] ** order
+    >>> power(jnp.full((2, 1, 16), 3.0), order=2)[0, 0].item()
+    9.0
     """
     return partial(Chunked, apart=apart) if kernel is None else Chunked(kernel, apart)
 

@@ -24,13 +24,20 @@ def larger(a: Any, b: Any) -> Any:
     """The larger of two arrays, element by element; NaN is not passed on.
 
     Where they are equal the derivative is that of b.
+
+    >>> larger(jnp.array([1.0, 5.0]), jnp.array([2.0, 3.0])).tolist()
+    [2.0, 5.0]
     """
     # select instead of jnp.maximum: 4 to 6 times faster on the CPU
     return select(a > b, a, b)
 
 
 def smaller(a: Any, b: Any) -> Any:
-    """The smaller of two arrays, element by element; NaN is not passed on. The derivative is b's where equal."""
+    """The smaller of two arrays, element by element; NaN is not passed on. The derivative is b's where equal.
+
+    >>> smaller(jnp.array([1.0, 5.0]), jnp.array([2.0, 3.0])).tolist()
+    [1.0, 3.0]
+    """
     return select(a < b, a, b)
 
 
@@ -38,22 +45,37 @@ def at_least(values: Any, floor: Any) -> Any:
     """The larger of an array's elements and one number; NaN is not passed on.
 
     Where they are equal the derivative is that of the number.
+
+    >>> at_least(jnp.array([0.5, 2.0]), 1.0).tolist()
+    [1.0, 2.0]
     """
     return larger(values, jnp.full_like(values, floor))
 
 
 def largest(values: list[Any]) -> Any:
-    """The largest of arrays, element by element."""
+    """The largest of arrays, element by element.
+
+    >>> largest([jnp.array(1.0), jnp.array(3.0), jnp.array(2.0)]).item()
+    3.0
+    """
     return reduce(larger, values)
 
 
 def smallest_along(values: Any, axis: tuple[int, ...]) -> Any:
-    """The smallest along axes; where several are equal each has its share of the derivative."""
+    """The smallest along axes; where several are equal each has its share of the derivative.
+
+    >>> smallest_along(jnp.array([[1.0, 5.0], [3.0, 2.0]]), (0,)).tolist()
+    [1.0, 2.0]
+    """
     return _chosen_along(jnp.min, axis, values)
 
 
 def largest_along(values: Any, axis: tuple[int, ...]) -> Any:
-    """The largest along axes; where several are equal each has its share of the derivative."""
+    """The largest along axes; where several are equal each has its share of the derivative.
+
+    >>> largest_along(jnp.array([[1.0, 5.0], [3.0, 2.0]]), (0, 1)).item()
+    5.0
+    """
     return _chosen_along(jnp.max, axis, values)
 
 
@@ -90,7 +112,11 @@ _PLACE = {jnp.max: jnp.argmax, jnp.min: jnp.argmin}
 @plain()
 @dataclass(frozen=True)
 class Exact:
-    """Maxima, sizes and extents as they are."""
+    """Maxima, sizes and extents as they are.
+
+    >>> EXACT.extent([jnp.array(1.0), jnp.array(4.0)]).item()
+    3.0
+    """
 
     exact: ClassVar[bool] = True
 
@@ -121,6 +147,9 @@ class Soft:
     """Soft maxima of a temperature, of numbers that are not negative; smooth sizes and extents, never smaller either.
 
     Along axes that are ``alike`` numbers have one unit.
+
+    >>> round(Soft(0.1).largest([jnp.array(1.0), jnp.array(1.0)]).item(), 4)  # 2^T where two are equal
+    1.0718
     """
 
     temperature: Any
@@ -190,7 +219,11 @@ EXACT = Exact()
 
 
 def maxima_of(temperature: Any) -> Maxima:
-    """Soft ones of a temperature, exact ones for None."""
+    """Soft ones of a temperature, exact ones for None.
+
+    >>> maxima_of(None), maxima_of(0.01)
+    (Exact(), Soft(temperature=0.01))
+    """
     return EXACT if temperature is None else Soft(temperature)
 
 
@@ -206,6 +239,10 @@ def _unit(whole: Any) -> Any:
 
 
 def root(square: Any) -> Any:
-    """The square root, with a derivative of 0 at 0."""
+    """The square root, with a derivative of 0 at 0.
+
+    >>> jax.grad(root)(0.0).item()
+    0.0
+    """
     safe = jnp.where(square > 0, square, 1.0)
     return jnp.where(square > 0, jnp.sqrt(safe), 0.0)

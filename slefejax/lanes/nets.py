@@ -23,7 +23,11 @@ Net = Any  # (nu, nv) of (lanes,), or (nu, nv, lanes)
 
 
 def coordinates(control: Any, unrolled: bool) -> list[Net]:
-    """One net for every coordinate of ``(nu, nv, dim, lanes)``."""
+    """One net for every coordinate of ``(nu, nv, dim, lanes)``.
+
+    >>> [net.shape for net in coordinates(jnp.zeros((4, 3, 3, 16)), unrolled=True)]
+    [(4, 3), (4, 3), (4, 3)]
+    """
     nu, nv, dim, _ = control.shape
     if unrolled:
         return [objects([[control[i, j, a] for j in range(nv)] for i in range(nu)]) for a in range(dim)]
@@ -31,7 +35,11 @@ def coordinates(control: Any, unrolled: bool) -> list[Net]:
 
 
 def objects(rows: Sequence[Sequence[Any]]) -> Net:
-    """An unrolled net, of coefficients row by row."""
+    """An unrolled net, of coefficients row by row.
+
+    >>> objects([[1, 2], [3, 4]]).shape
+    (2, 2)
+    """
     net = np.empty((len(rows), len(rows[0])), object)
     for place in np.ndindex(*net.shape):
         net[place] = rows[place[0]][place[1]]
@@ -39,46 +47,79 @@ def objects(rows: Sequence[Sequence[Any]]) -> Net:
 
 
 def unrolled(net: Net) -> bool:
-    """Whether a net is in that form."""
+    """Whether a net is in that form.
+
+    >>> unrolled(objects([[1, 2]])), unrolled(np.zeros((1, 2, 16)))
+    (True, False)
+    """
     return net.dtype == object
 
 
 def each(function: Callable[..., Any], *nets: Net) -> Net:
-    """The function of corresponding coefficients."""
+    """The function of corresponding coefficients.
+
+    >>> each(lambda a, b: a + b, objects([[1, 2]]), objects([[10, 20]])).tolist()
+    [[11, 22]]
+    """
     if unrolled(nets[0]):
         return np.frompyfunc(function, len(nets), 1)(*nets)
     return function(*nets)
 
 
 def top(net: Net, maxima: Maxima = EXACT) -> Lanes:
-    """The largest coefficient; softly only of an array that is not negative (``lanes.maxima``)."""
+    """The largest coefficient; softly only of an array that is not negative (``lanes.maxima``).
+
+    >>> top(jnp.arange(4.0).reshape(2, 2, 1)).tolist()
+    [3.0]
+    """
     return _tree(larger, net) if unrolled(net) else maxima.largest_along(net, (0, 1))
 
 
 def bottom(net: Net) -> Lanes:
-    """The smallest coefficient."""
+    """The smallest coefficient.
+
+    >>> bottom(jnp.arange(4.0).reshape(2, 2, 1)).tolist()
+    [0.0]
+    """
     return _tree(smaller, net) if unrolled(net) else smallest_along(net, (0, 1))
 
 
 def size(net: Net) -> int:
-    """How many coefficients there are; 0 for a derivative that is identically 0 by degree."""
+    """How many coefficients there are; 0 for a derivative that is identically 0 by degree.
+
+    >>> size(np.zeros((4, 3, 16)))
+    12
+    """
     return net.shape[0] * net.shape[1]
 
 
 def degrees(net: Net) -> tuple[int, int]:
-    """Degrees along u and v."""
+    """Degrees along u and v.
+
+    >>> degrees(np.zeros((4, 3, 16)))
+    (3, 2)
+    """
     return net.shape[0] - 1, net.shape[1] - 1
 
 
 def derivative(net: Net, i: int, j: int) -> Net:
-    """Coefficients of the derivative, i times by u and j times by v; none if it is identically 0 by degree."""
+    """Coefficients of the derivative, i times by u and j times by v; none if it is identically 0 by degree.
+
+    >>> parabola = jnp.array([0.0, 0.0, 1.0]).reshape(3, 1, 1)  # u^2
+    >>> derivative(parabola, 2, 0).ravel().tolist()
+    [2.0]
+    """
     (du, dv), found = degrees(net), differences(net, i, j)
     scale = perm(du, i) * perm(dv, j)
     return found * scale if size(found) and scale != 1 else found
 
 
 def differences(net: Net, i: int, j: int) -> Net:
-    """Differences of neighbours, i times along u and j times along v; none if there are too few coefficients."""
+    """Differences of neighbours, i times along u and j times along v; none if there are too few coefficients.
+
+    >>> differences(jnp.array([0.0, 1.0, 4.0]).reshape(3, 1, 1), 1, 0).ravel().tolist()
+    [1.0, 3.0]
+    """
     for _ in range(i):
         net = net[1:] - net[:-1]
     for _ in range(j):
@@ -87,13 +128,21 @@ def differences(net: Net, i: int, j: int) -> Net:
 
 
 def raised(net: Net, du: int, dv: int) -> Net:
-    """The same polynomials with higher degrees."""
+    """The same polynomials with higher degrees.
+
+    >>> raised(jnp.array([0.0, 2.0]).reshape(2, 1, 1), 2, 0).ravel().tolist()
+    [0.0, 1.0, 2.0]
+    """
     # numbers of Python's own, which leave single precision as it is
     return combined(net, *(_raising(low, high).tolist() for low, high in zip(degrees(net), (du, dv), strict=True)))
 
 
 def combined(net: Net, u: Any, v: Any) -> Net:
-    """u times the net times v transposed, for matrices of numbers or, unrolled, of lanes."""
+    """u times the net times v transposed, for matrices of numbers or, unrolled, of lanes.
+
+    >>> combined(objects([[1.0, 2.0]]), [[3.0]], [[1.0, 1.0]]).tolist()
+    [[9.0]]
+    """
     if not unrolled(net):
         u, v = (jnp.asarray(x, net.dtype) for x in (u, v))
         return jnp.einsum("ia,jb,abl->ijl", u, v, net, precision=jax.lax.Precision.HIGHEST)
@@ -102,7 +151,12 @@ def combined(net: Net, u: Any, v: Any) -> Net:
 
 
 def bilinear_times(corners: list[list[Lanes]], net: Net) -> Net:
-    """The product with the bilinear function that has these values at the corners (i, j); both degrees grow by one."""
+    """The product with the bilinear function that has these values at the corners (i, j); both degrees grow by one.
+
+    >>> ones = [[jnp.ones(1)] * 2] * 2
+    >>> bilinear_times(ones, jnp.full((1, 1, 1), 5.0)).ravel().tolist()
+    [5.0, 5.0, 5.0, 5.0]
+    """
     du, dv = degrees(net)
     along_u, along_v = _times_linear(du), _times_linear(dv)
     parts = [combined(net, along_u[i], along_v[j]) for i in (0, 1) for j in (0, 1)]
@@ -111,24 +165,40 @@ def bilinear_times(corners: list[list[Lanes]], net: Net) -> Net:
 
 
 def sum_of_sizes(control: Any) -> Lanes:
-    """The sum of the sizes of all numbers of ``(nu, nv, dim, lanes)``."""
+    """The sum of the sizes of all numbers of ``(nu, nv, dim, lanes)``.
+
+    >>> sum_of_sizes(jnp.full((2, 2, 3, 1), -1.0)).tolist()
+    [12.0]
+    """
     if np.prod(control.shape[:3]) > TUNING.unrolled_sums:
         return jnp.sum(jnp.abs(control), axis=(0, 1, 2))
     return total([jnp.abs(control[place]) for place in np.ndindex(*control.shape[:3])])
 
 
 def stacked(net: Net) -> Any:
-    """A net as an array ``(nu, nv, lanes)``."""
+    """A net as an array ``(nu, nv, lanes)``.
+
+    >>> stacked(objects([[jnp.zeros(5), jnp.ones(5)]])).shape
+    (1, 2, 5)
+    """
     return jnp.stack([jnp.stack(list(row)) for row in net])
 
 
 def transposed(net: Net) -> Net:
-    """u and v exchanged."""
+    """u and v exchanged.
+
+    >>> transposed(objects([[1, 2]])).tolist()
+    [[1], [2]]
+    """
     return net.swapaxes(0, 1)
 
 
 def total(values: list[Any]) -> Any:
-    """Their sum; ``sum`` would begin with 0."""
+    """Their sum; ``sum`` would begin with 0.
+
+    >>> total([1, 2, 3])
+    6
+    """
     whole = values[0]
     for value in values[1:]:
         whole = whole + value

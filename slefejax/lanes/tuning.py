@@ -27,6 +27,9 @@ class Tuning:
     compiler_options      : by the backend's name. CPUs with registers of 512 bits are told to use them: up to a fifth
                             faster than what the compiler prefers. What loops over the tiles of a chunk could have in
                             common stays inside of them: to load a hundred arrays takes longer
+
+    >>> Tuning(lanes=512).lanes, TUNING.lanes
+    (512, 2048)
     """
 
     lanes: int = 2048

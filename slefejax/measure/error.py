@@ -73,6 +73,11 @@ def slip(seen: Any) -> Float[np.ndarray, "height width"]:
 
     That is the driver's doing. Float32 makes it some ten thousandths of a pixel; it is more in triangles that are seen
     edge on, thinner than the grid that drivers snap corners to. A pixel whose slip is above ``SLIPPED`` has slipped.
+
+    >>> from types import SimpleNamespace
+    >>> seen = SimpleNamespace(patch=np.array([[0, -1]]), drawn=np.array([[[0.25, 0.0], [9.0, 9.0]]]))
+    >>> slip(seen).tolist()
+    [[0.25, nan]]
     """
     return np.where(seen.patch >= 0, np.max(np.abs(seen.drawn), axis=-1).astype(np.float64), np.nan)
 

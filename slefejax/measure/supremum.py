@@ -46,7 +46,14 @@ Windows = Float[np.ndarray, "windows 3"]
 
 
 class Supremum(NamedTuple):
-    """The largest error of every patch in pixels, and where it is attained (NaN where nothing is visible)."""
+    """The largest error of every patch in pixels, and where it is attained (NaN where nothing is visible).
+
+    >>> quad = np.array([[[0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0]]], float)
+    >>> from slefejax import Camera
+    >>> view = View(Camera.look_at((0.5, -3.0, 2.0), (0.5, 0.5, 0.0)), 300, 200)
+    >>> worst_points(quad[None], [1], view).error.round(9).tolist()
+    [0.0]
+    """
 
     error: Float[np.ndarray, "patches"]
     u: Float[np.ndarray, "patches"]
@@ -87,7 +94,11 @@ def worst_points(patches: Patches, factors: Any, view: View) -> Supremum:
 
 
 def level_pairs(factors: Any, count: int) -> Int[np.ndarray, "patches 2"]:
-    """Levels along u and v as whole numbers ``(patches, 2)``, or InputError."""
+    """Levels along u and v as whole numbers ``(patches, 2)``, or InputError.
+
+    >>> level_pairs([2, 3], 2).tolist()
+    [[2, 2], [3, 3]]
+    """
     levels = whole_numbers(getattr(factors, "inner", factors), "factors")
     if levels.shape not in ((count,), (count, 2)):
         raise InputError(f"factors of {count} patches must have shape ({count},) or ({count}, 2), not {levels.shape}")
@@ -162,7 +173,12 @@ def _blocks(counts: np.ndarray) -> list[np.ndarray]:
 
 
 def windows_of(levels: Int[np.ndarray, "patches 2"], start: int, end: int) -> tuple[np.ndarray, Cells, Windows]:
-    """(patch, cells, windows) number start ... end-1 of those that sample all cells of patches cut by these levels."""
+    """(patch, cells, windows) number start ... end-1 of those that sample all cells of patches cut by these levels.
+
+    >>> patch, cells, windows = windows_of(np.array([[6, 6]]), 0, 100)
+    >>> len(cells), cells[7].round(3).tolist()
+    (36, [0.167, 0.333, 0.167, 0.333])
+    """
     splits = _splits(levels)
     ends = np.cumsum(_window_counts(levels))
     index = np.arange(start, min(end, int(ends[-1])))
@@ -233,7 +249,11 @@ def _around(a: np.ndarray, b: np.ndarray, side: np.ndarray) -> Windows:
 
 
 def largest_of_each(patch: np.ndarray, error: np.ndarray, most: int) -> np.ndarray:
-    """Indices of the largest errors of each patch, at most so many, patches in order, the largest first."""
+    """Indices of the largest errors of each patch, at most so many, patches in order, the largest first.
+
+    >>> largest_of_each(np.array([0, 1, 0]), np.array([1.0, 5.0, 2.0]), 1).tolist()
+    [2, 1]
+    """
     order = np.lexsort((-error, patch))
     sorted_patch = patch[order]
     start = np.searchsorted(sorted_patch, sorted_patch)

@@ -18,6 +18,11 @@ def undivided(patches: np.ndarray, view: View) -> Any:
     """Control points ``(du+1, dv+1, 4, patches)``: X/W, Y/W pixels from the lower left corner, Z/W window depth.
 
     Made once, not for every block of what is looked at.
+
+    >>> from slefejax import Camera
+    >>> view = View(Camera.look_at((0.5, -3.0, 2.0), (0.5, 0.5, 0.0)), 300, 200)
+    >>> undivided(np.zeros((5, 4, 3, 3)), view).shape
+    (4, 3, 4, 5)
     """
     control = homogeneous(np.asarray(patches, np.float64)) @ np.asarray(view.world_to_screen).T
     with jax.enable_x64(True):
@@ -42,7 +47,12 @@ class Surface(NamedTuple):
 
 
 def distance(exact: Any, drawn: Any, size: Any) -> Any:
-    """Of undivided screen points ``(4, ...)``: max(|dx|, |dy|) in pixels; -1 where the drawn one is not visible."""
+    """Of undivided screen points ``(4, ...)``: max(|dx|, |dy|) in pixels; -1 where the drawn one is not visible.
+
+    >>> exact, drawn = jnp.array([3.0, 4.0, 0.5, 1.0]), jnp.array([1.0, 4.5, 0.5, 1.0])
+    >>> float(distance(exact, drawn, (10.0, 10.0)))
+    2.0
+    """
     x, y, z, w = drawn
     visible = (w > 0) & (x >= 0) & (x <= size[0] * w) & (y >= 0) & (y <= size[1] * w) & (z >= 0) & (z <= w)
     w, true_w = jnp.where(visible, w, 1.0), jnp.where(exact[3] > 0, exact[3], 1.0)

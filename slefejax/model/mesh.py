@@ -59,6 +59,9 @@ class Mesh:
                 for which the edge stays sharp
     points    : ``(points,)``, vertices that stay sharp, and ``point_sharpness``
     numbers   : ``(faces,)``, the number that each face has in its file
+
+    >>> Mesh.of([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2, 3]]).sizes.tolist()
+    [4]
     """
 
     vertices: Float[np.ndarray, "vertices 3"]
@@ -315,7 +318,12 @@ def _check_sharp(name: str, at: np.ndarray, sharpness: np.ndarray, count: int) -
 def connected(
     count: int, one: Int[np.ndarray, "pairs"], other: Int[np.ndarray, "pairs"]
 ) -> tuple[int, Int[np.ndarray, "things"]]:
-    """How many groups so many things make of which these pairs belong together, and the group of each."""
+    """How many groups so many things make of which these pairs belong together, and the group of each.
+
+    >>> count, number = connected(4, np.array([0]), np.array([2]))
+    >>> count, number.tolist()
+    (3, [0, 1, 0, 2])
+    """
     with one_at_a_time:
         from scipy.sparse.csgraph import connected_components  # slow to import
 

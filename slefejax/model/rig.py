@@ -29,7 +29,13 @@ Deformation = Callable[[Any, Any, Influences], Any]
 
 
 def check_time(time: Any) -> None:
-    """Raise InputError for what is no single number."""
+    """Raise InputError for what is no single number.
+
+    >>> check_time("now")
+    Traceback (most recent call last):
+        ...
+    slefejax.errors.InputError: a time must be a number, not 'now'
+    """
     number = isinstance(time, (int, float, np.number, np.ndarray, jax.Array)) and not isinstance(time, bool)
     if not number or np.ndim(time) != 0 or np.iscomplexobj(time) or np.asarray(time).dtype.kind not in "fiu":
         raise InputError(f"a time must be a number, not {time!r}")
@@ -331,7 +337,11 @@ class Rig:
 
 
 def transform_of(translation: Any, rotation: Any, scale: Any) -> Float[np.ndarray, "4 4"]:
-    """The matrix of a scale, then a rotation (w, x, y, z), then a translation."""
+    """The matrix of a scale, then a rotation (w, x, y, z), then a translation.
+
+    >>> transform_of([1, 2, 3], [1, 0, 0, 0], [2, 2, 2]).tolist()[0]
+    [2.0, 0.0, 0.0, 1.0]
+    """
     matrix = np.eye(4)
     w, x, y, z = rotation
     with one_at_a_time:
@@ -343,7 +353,11 @@ def transform_of(translation: Any, rotation: Any, scale: Any) -> Float[np.ndarra
 
 
 def transform_parts(matrix: Float[np.ndarray, "4 4"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Translation, rotation (w, x, y, z) and scale of a matrix that is made of them."""
+    """Translation, rotation (w, x, y, z) and scale of a matrix that is made of them.
+
+    >>> [part.tolist() for part in transform_parts(np.diag([2.0, 2.0, 2.0, 1.0]))]
+    [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [2.0, 2.0, 2.0]]
+    """
     upper = matrix[:3, :3]
     scale = np.linalg.norm(upper, axis=0)
     if np.linalg.det(upper) < 0:

@@ -28,7 +28,12 @@ from slefejax.model.stencils import StencilTable
 
 @dataclass(frozen=True, eq=False)
 class Influences:
-    """Which bones move a vertex, and how much: a table from bones to vertices whose rows add up to 1."""
+    """Which bones move a vertex, and how much: a table from bones to vertices whose rows add up to 1.
+
+    >>> halves = Influences.of(np.array([[0, 1]]), np.array([[0.5, 0.5]]), 2)
+    >>> halves.table.on_host(np.array([[2.0], [4.0]])).tolist()  # of what two bones say
+    [[3.0]]
+    """
 
     table: StencilTable
 
@@ -85,6 +90,11 @@ def linear_blend(rest: Any, transforms: Any, influences: Influences) -> Any:
 
     With frames first, ``(frames, bones, 3, 4)`` (and the rest positions too, if they change), so is the result.
     Differentiable by positions and transforms.
+
+    >>> up = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 2]])
+    >>> half = Influences.of(np.array([[0, 1]]), np.array([[0.5, 0.5]]), 2)
+    >>> linear_blend(np.zeros((1, 3)), np.stack([np.eye(3, 4), up]), half).tolist()
+    [[0.0, 0.0, 1.0]]
     """
     if transforms.ndim == 4:
         return jax.vmap(linear_blend, (0 if rest.ndim == 3 else None, 0, None))(rest, transforms, influences)
@@ -123,6 +133,9 @@ def polar_rotations(matrices: Float[Any, "*rest 3 3"]) -> Float[Any, "*rest 3 3"
 
     P is positive; where M mirrors, negative, as UsdSkel has it. Where M flattens space, R is a rotation all the same.
     Derivatives are finite everywhere, and 0 where R has none (a bone that is scaled to 0 along two axes).
+
+    >>> polar_rotations(np.diag([2.0, 3.0, 4.0])).round(9).tolist()
+    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     """
     u, sizes, v = jnp.linalg.svd(matrices)
     same = u @ v
@@ -170,6 +183,9 @@ def quaternions(rotations: Any) -> Any:
     """Unit quaternions (w, x, y, z), of either sign, of rotation matrices ``(..., 3, 3)``; scale does not matter.
 
     Of the four formulas that divide by one component each, the one with the largest is taken [She78].
+
+    >>> quaternions(np.eye(3)).tolist()
+    [1.0, 0.0, 0.0, 0.0]
     """
     scale = jnp.linalg.norm(rotations, axis=-1, keepdims=True)
     m = rotations / jnp.where(scale > 0, scale, 1.0)
@@ -189,7 +205,11 @@ def quaternions(rotations: Any) -> Any:
 
 
 def multiply(p: Any, q: Any) -> Any:
-    """The product of quaternions (w, x, y, z)."""
+    """The product of quaternions (w, x, y, z).
+
+    >>> multiply(np.array([0.0, 1, 0, 0]), np.array([0.0, 0, 1, 0])).tolist()  # i j = k
+    [0.0, 0.0, 0.0, 1.0]
+    """
     pw, pv, qw, qv = p[..., :1], p[..., 1:], q[..., :1], q[..., 1:]
     real = pw * qw - jnp.sum(pv * qv, axis=-1, keepdims=True)
     return jnp.concatenate([real, pw * qv + qw * pv + jnp.cross(pv, qv)], axis=-1)
@@ -270,7 +290,11 @@ def _hats(weight: Any, places: tuple[float, ...]) -> list[Any]:
 
 
 def rotation_matrices(q: Float[Any, "*rest 4"]) -> Any:
-    """``(..., 3, 3)`` rotations of quaternions (w, x, y, z), which need not be units."""
+    """``(..., 3, 3)`` rotations of quaternions (w, x, y, z), which need not be units.
+
+    >>> rotation_matrices(np.array([0.0, 0.0, 0.0, 1.0])).tolist()  # half a turn about z
+    [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]]
+    """
     w, x, y, z = (q[..., k] for k in range(4))
     s = 2.0 / jnp.sum(q * q, axis=-1)
     rows = [

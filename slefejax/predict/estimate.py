@@ -21,7 +21,11 @@ from slefejax.lanes.maxima import EXACT, Maxima, largest
 
 
 class Scales(NamedTuple):
-    """What widths are divided by: tolerances in pixels and in window depth or None, and k_m."""
+    """What widths are divided by: tolerances in pixels and in window depth or None, and k_m.
+
+    >>> Scales(0.5, None, 1.0).depth is None
+    True
+    """
 
     pixels: Any
     depth: Any
@@ -131,6 +135,9 @@ def tau(demand: Any, k: Any, m: int, maxima: Maxima = EXACT) -> Any:
     """tau = k_m m sqrt(w / tolerance) ([YBP12], (9); [YBP14], (7)), but at least 1.
 
     Below 1 it is constant, so its gradient there is 0, and finite at w = 0.
+
+    >>> tau(jnp.array(16.0), 1.0, 3).item(), tau(jnp.array(0.0), 1.0, 3).item()
+    (12.0, 1.0)
     """
     square = (k * m) ** 2 * demand
     return jnp.sqrt(maxima.largest([square, jnp.ones_like(square)]))

@@ -58,7 +58,11 @@ def fewest_triangles(
 
 
 def lowest(sets: UInt64[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-    """The lowest level in each set, infinity for an empty one."""
+    """The lowest level in each set, infinity for an empty one.
+
+    >>> lowest(np.array([0b1000, 0], np.uint64)).tolist()
+    [4.0, inf]
+    """
     bit = np.frexp((sets & (~sets + np.uint64(1))).astype(np.float64))[1]
     return np.where(sets == 0, np.inf, bit)
 

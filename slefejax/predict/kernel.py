@@ -33,7 +33,11 @@ from slefejax.lanes import layout, loops, passes
 
 
 class Tolerances(NamedTuple):
-    """What errors are allowed: in pixels, and in window depth (0 to 1) or None for no depth test."""
+    """What errors are allowed: in pixels, and in window depth (0 to 1) or None for no depth test.
+
+    >>> Tolerances(0.25).depth is None
+    True
+    """
 
     pixels: Any = 0.5
     depth: Any = None

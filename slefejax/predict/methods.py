@@ -57,6 +57,9 @@ class Certified(Kernel):
     verify      : smaller whole numbers are proved cell by cell, which is slower and tighter, for factors up to 128
     smooth      : a temperature, 0 < smooth <= 1, or None. Maxima become soft ones, never smaller
     pattern     : how the tessellator makes transition rings; None: as Direct3D 11 says
+
+    >>> Certified(tiles=3).label
+    'certified tiles=3'
     """
 
     name = "certified"
@@ -135,6 +138,9 @@ class Slefe(Kernel):
     segments : m, or (m_u, m_v); static
     k        : the constant k_m
     smooth   : a temperature, 0 < smooth <= 1, or None. Maxima become soft ones, never smaller
+
+    >>> Slefe(segments=4, k=0.9).label
+    'slefe m=4 k=0.9'
     """
 
     name = "slefe"
@@ -219,7 +225,11 @@ class Options(Knobs, total=False):
 
 
 class Request(NamedTuple):
-    """The same as values: a method, and what errors are allowed."""
+    """The same as values: a method, and what errors are allowed.
+
+    >>> Request.of({"method": "filip", "tolerance": 1.0}).tolerances.pixels
+    1.0
+    """
 
     method: Any
     tolerances: Tolerances
@@ -260,12 +270,20 @@ _ASKED = ("method", "tolerance", "depth_tolerance")
 
 
 def name_of(method: Any) -> str:
-    """The name of a method, of one's own too."""
+    """The name of a method, of one's own too.
+
+    >>> name_of(Filip())
+    'filip'
+    """
     return str(getattr(method, "name", type(method).__name__))
 
 
 def label_of(method: Any) -> str:
-    """The name of a method with its numbers, for legends and tables."""
+    """The name of a method with its numbers, for legends and tables.
+
+    >>> label_of(EdgeLength(12.0))
+    'edge-length 12'
+    """
     return str(getattr(method, "label", name_of(method)))
 
 

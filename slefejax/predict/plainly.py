@@ -23,7 +23,13 @@ _CUBIC = 1.0 / (12.0 * 27.0**0.5)
 def slefe_factor(
     patch: Patch, view: View, segments: int, tolerance: float, k: float = 1.0, depth_tolerance: float | None = None
 ) -> float:
-    """[YBP12], (6) to (10), with the test of section 6; 0 for a patch that is off-screen."""
+    """[YBP12], (6) to (10), with the test of section 6; 0 for a patch that is off-screen.
+
+    >>> from slefejax import Camera, load
+    >>> view = View(Camera.look_at((4.5, -6.0, 4.0), (0.0, 0.0, 1.2)), width=1440, height=900)
+    >>> round(float(slefe_factor(load("teapot").patches()[0], view, 3, 0.5)), 4)
+    13.996
+    """
     lower, upper = boxes(patch, segments)
     rectangles = np.zeros((segments + 1, segments + 1, 2, 3))
     for place in np.ndindex(segments + 1, segments + 1):
@@ -46,19 +52,34 @@ def slefe_factor(
 
 
 def on_screen(points: Float[np.ndarray, "n 3"], view: View) -> Float[np.ndarray, "n 3"]:
-    """Pixels from the lower left corner, and window depth."""
+    """Pixels from the lower left corner, and window depth.
+
+    >>> from slefejax import Camera
+    >>> view = View(Camera.look_at((0, -5, 0), (0, 0, 0)), 400, 300)
+    >>> on_screen(np.zeros((1, 3)), view).round(6).tolist()[0][:2]
+    [200.0, 150.0]
+    """
     x = homogeneous(points) @ np.asarray(view.world_to_screen).T
     return x[:, :3] / x[:, 3:]
 
 
 def boxes(patch: Patch, segments: int) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds in v, then lower ones of lower and upper ones of upper ones in u ([YBP12], appendix)."""
+    """Bounds in v, then lower ones of lower and upper ones of upper ones in u ([YBP12], appendix).
+
+    >>> boxes(np.zeros((4, 4, 3)), 3)[0].shape
+    (4, 4, 3)
+    """
     across = [np.stack(end) for end in zip(*(bounds(row, segments) for row in patch), strict=True)]
     return bounds(across[0], segments)[0], bounds(across[1], segments)[1]
 
 
 def bounds(c: np.ndarray, segments: int) -> tuple[np.ndarray, np.ndarray]:
-    """Breakpoint values of the slefe of polynomials with coefficients along the first axis ([YBP12], (2))."""
+    """Breakpoint values of the slefe of polynomials with coefficients along the first axis ([YBP12], (2)).
+
+    >>> lower, upper = bounds(np.array([0.0, 0.0, 1.0]), 1)
+    >>> lower.round(3).tolist(), upper.tolist()
+    ([-0.25, 0.75], [0.0, 1.0])
+    """
     t = (np.arange(segments + 1) / segments).reshape(-1, *(1,) * (c.ndim - 1))
     lower = upper = (1 - t) * c[0] + t * c[-1]
     if len(c) > 2:
@@ -74,7 +95,13 @@ def bounds(c: np.ndarray, segments: int) -> tuple[np.ndarray, np.ndarray]:
 def certified_factor(
     patch: Patch, view: View, tiles: int, tolerance: float, depth_tolerance: float | None = None
 ) -> float:
-    """n of docs/certified.md, (6), over tiles: for polynomial patches cut into 2 x 2 tiles or more; 0 off-screen."""
+    """n of docs/certified.md, (6), over tiles: for polynomial patches cut into 2 x 2 tiles or more; 0 off-screen.
+
+    >>> from slefejax import Camera, load
+    >>> view = View(Camera.look_at((4.5, -6.0, 4.0), (0.0, 0.0, 1.2)), width=1440, height=900)
+    >>> round(certified_factor(load("teapot").patches()[0], view, 2, 0.5), 4)
+    12.2211
+    """
     half = 0.5 * np.array([view.width / tolerance, view.height / tolerance, 1.0 / (depth_tolerance or 1.0)])
     screen = np.moveaxis(homogeneous(patch) @ np.asarray(view.world_to_screen).T, -1, 0)
     w = screen[3]

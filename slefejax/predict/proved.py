@@ -53,7 +53,11 @@ def proved_levels(certificate: Certificate, inner: Pairs, edges: Numbers, number
 
 
 def acting(inner: Pairs, edges: Numbers) -> Pairs:
-    """A level of 1 acts as 2 unless nothing of the patch is cut."""
+    """A level of 1 acts as 2 unless nothing of the patch is cut.
+
+    >>> acting(np.array([[1, 3], [1, 1]]), np.array([[1, 1, 1, 1], [1, 1, 1, 1]])).tolist()
+    [[2, 3], [1, 1]]
+    """
     cut = np.any(inner > 1, axis=1) | np.any(edges > 1, axis=1)
     return np.where(cut[:, None], np.maximum(inner, 2), inner)
 
@@ -84,7 +88,12 @@ def _rings_keep(
 def strips(
     patches: Float[np.ndarray, "n nu nv dim"], side: int, width: Float[np.ndarray, "n widths"]
 ) -> Float[np.ndarray, "n widths nu nv dim"]:
-    """Control points of strips of patches along a side."""
+    """Control points of strips of patches along a side.
+
+    >>> flat = np.arange(2.0).reshape(1, 2, 1, 1) * np.ones((1, 2, 2, 1))
+    >>> strips(flat, 0, np.array([[0.25]]))[0, 0, :, 0, 0].tolist()  # along u = 0, a quarter wide
+    [0.0, 0.25]
+    """
     axis = 1 + side % 2
     nets = np.moveaxis(np.asarray(patches, np.float64)[:, None], (axis + 1, 0, 1), (0, -2, -1))
     start, end = (np.zeros_like(width), width) if side < 2 else (1.0 - width, np.ones_like(width))

@@ -38,6 +38,9 @@ class Filip(Kernel):
     of the second derivatives. For two points of which the drawn one has the screen coordinate s = X'/W', X/W - s is
     ((X - X') - s (W - W'))/W: at most (|row_X| + |s| |row_W|) |p - L| / W, with the gradients of X and W, |s| at most
     half the picture, and W at least the smallest of the control points' (the near plane's, if some lie nearer).
+
+    >>> Filip().label
+    'filip'
     """
 
     name = "filip"
@@ -65,7 +68,11 @@ class Filip(Kernel):
 @plain()
 @dataclass(frozen=True)
 class Minmax(Kernel):
-    """The longer side of the box around the projected control points, over the tolerance."""
+    """The longer side of the box around the projected control points, over the tolerance.
+
+    >>> Minmax().label
+    'minmax'
+    """
 
     name = "minmax"
 
@@ -89,7 +96,11 @@ class _WithSetting(Kernel):
 @plain("setting")
 @dataclass(frozen=True)
 class EdgeLength(_WithSetting):
-    """The length on the screen of the longest edge's control polygon, over ``setting`` pixels."""
+    """The length on the screen of the longest edge's control polygon, over ``setting`` pixels.
+
+    >>> EdgeLength().label
+    'edge-length 8'
+    """
 
     name = "edge-length"
     setting: Number = 8.0
@@ -106,7 +117,11 @@ class EdgeLength(_WithSetting):
 @plain("setting")
 @dataclass(frozen=True)
 class ScreenBox(_WithSetting):
-    """The longer side of the box around the projection (of the slefe's boxes), over mu = ``setting`` pixels."""
+    """The longer side of the box around the projection (of the slefe's boxes), over mu = ``setting`` pixels.
+
+    >>> ScreenBox(2.0).label
+    'screen-box 2'
+    """
 
     name = "screen-box"
     setting: Number = 1.0
@@ -125,7 +140,11 @@ class ScreenBox(_WithSetting):
 @plain("setting")
 @dataclass(frozen=True)
 class Fixed(_WithSetting):
-    """``setting`` pieces for every patch that is on the screen."""
+    """``setting`` pieces for every patch that is on the screen.
+
+    >>> Fixed().label
+    'fixed 16'
+    """
 
     name = "fixed"
     setting: Number = 16.0

@@ -27,6 +27,10 @@ def surface_distance(patches: Patches, given: Patches, places: int = _PLACES) ->
     From every point of the grid on the patch Newton's method looks for the nearest point of the other, beginning at the
     same parameters; what it finds is no nearer than the nearest there is, so distances are not understated at the
     places themselves. Polynomial patches; scene units.
+
+    >>> flat = np.array([[[0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0]]], float)[None]
+    >>> surface_distance(flat + [0.0, 0.0, 0.25], flat, places=3).round(9).tolist()
+    [0.25]
     """
     patches, given = _alike(patches, given)
     if not is_whole(places, 2):
@@ -46,7 +50,12 @@ def side_turns(patches: Patches, given: Patches, places: int = _PLACES) -> Float
 
 
 def unfolded(patches: Patches, given: Patches, places: int = _PLACES) -> Any:
-    """Which patches ``(patches,)`` have normals within 90 degrees of the given ones, at equal parameters inside."""
+    """Which patches ``(patches,)`` have normals within 90 degrees of the given ones, at equal parameters inside.
+
+    >>> flat = np.array([[[0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0]]], float)[None]
+    >>> unfolded(flat, flat, places=3).tolist(), unfolded(flat[:, ::-1], flat, places=3).tolist()
+    ([True], [False])
+    """
     patches, given = _alike(patches, given)
     return np.asarray(_unfolded_jit(patches, given, places))
 
@@ -57,6 +66,13 @@ def edge_turns(patches: Patches, edge_numbers: Int[np.ndarray, "patches 4"]) -> 
     patches      : polynomial;  edge_numbers : from ``slefejax.tessellator.edges.shared_edges``
 
     Of edges that exactly two patches share; corners are left out, and places where a patch has no tangent plane.
+
+    >>> from slefejax.tessellator.edges import shared_edges
+    >>> flat = np.array([[[0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0]]], float)[None]
+    >>> roof = flat * [1.0, 1.0, 0.0] + [1.0, 0.0, 0.0] + (flat[..., :1]) * [0.0, 0.0, 1.0]
+    >>> both = np.concatenate([flat, roof])
+    >>> edge_turns(both, shared_edges(both)).round(6).tolist()
+    [45.0]
     """
     control = jnp.asarray(check_patches(patches, dims=(3,)))
     sides = [_points_and_normals(control, u, v) for u, v in _sides(_PLACES)]

@@ -20,7 +20,11 @@ TWIST = "twist"
 
 
 def slefe_term(segments: int) -> str:
-    """The name of the term m^2 w of the estimate with m segments."""
+    """The name of the term m^2 w of the estimate with m segments.
+
+    >>> slefe_term(3)
+    'slefe 3'
+    """
     return f"slefe {segments}"
 
 

@@ -40,7 +40,12 @@ _ROUNDING = 8  # eps: points of both sides and of the raised one are rounded onc
 
 
 def edge_points(patches: Shaped[np.ndarray, "patches nu nv dim"]) -> list[np.ndarray]:
-    """Control points of the four edges of every patch, each ``(patches, points, dim)``, in OpenGL's order."""
+    """Control points of the four edges of every patch, each ``(patches, points, dim)``, in OpenGL's order.
+
+    >>> flat = np.array([[[0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0]]], float)[None]
+    >>> [edge[0].tolist() for edge in edge_points(flat)][0]
+    [[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+    """
     return [patches[:, 0], patches[:, :, 0], patches[:, -1], patches[:, :, -1]]
 
 
@@ -127,7 +132,11 @@ def _keys(points: np.ndarray, longest: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def collapsed(patches: Shaped[np.ndarray, "patches nu nv dim"]) -> Bool[np.ndarray, "patches 4"]:
-    """Which edges are points: all of their control points are equal bit for bit."""
+    """Which edges are points: all of their control points are equal bit for bit.
+
+    >>> collapsed(np.zeros((1, 4, 4, 3))).tolist()
+    [[True, True, True, True]]
+    """
     return np.stack([np.all(points == points[:, :1], axis=(1, 2)) for points in edge_points(patches)], axis=1)
 
 
@@ -172,7 +181,11 @@ def _equal_ends(one: np.ndarray, other: np.ndarray) -> Int[np.ndarray, "pairs 2"
 
 
 def number_by_first_use(rows: Shaped[np.ndarray, "rows *columns"]) -> Int[np.ndarray, "rows"]:
-    """A number for every row, from 0 on in the order in which they come, equal for equal rows."""
+    """A number for every row, from 0 on in the order in which they come, equal for equal rows.
+
+    >>> number_by_first_use(np.array([7, 3, 7])).tolist()
+    [0, 1, 0]
+    """
     _, first, inverse = np.unique(rows, axis=0 if rows.ndim > 1 else None, return_index=True, return_inverse=True)
     rank = np.empty(len(first), int)
     rank[np.argsort(first)] = np.arange(len(first))
@@ -180,7 +193,11 @@ def number_by_first_use(rows: Shaped[np.ndarray, "rows *columns"]) -> Int[np.nda
 
 
 def check_edge_numbers(numbers: Any, count: int) -> Int[np.ndarray, "patches 4"]:
-    """The numbers of edges as an array, or InputError."""
+    """The numbers of edges as an array, or InputError.
+
+    >>> check_edge_numbers([[0, 1, 2, 3]], 1).tolist()
+    [[0, 1, 2, 3]]
+    """
     numbers = whole_numbers(numbers, "edge_numbers")
     if numbers.shape != (count, 4) or np.any(numbers < 0):
         raise InputError(
@@ -196,6 +213,9 @@ def edge_maxima(
     """For every edge the largest level of the patches that share it; 0 on the edges of a patch with level 0.
 
     [YBP12], section 6 (docs/math.md, 3): a visible patch keeps its own level where its neighbour is not drawn.
+
+    >>> edge_maxima(np.array([3, 5]), np.array([[0, 1, 2, 3], [2, 4, 5, 6]])).tolist()
+    [[3, 3, 5, 3], [5, 5, 5, 5]]
     """
     largest = np.zeros(edges.max() + 1, levels.dtype)
     np.maximum.at(largest, edges.ravel(), np.repeat(levels, 4))

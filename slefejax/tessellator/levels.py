@@ -35,12 +35,22 @@ Outer = Int[np.ndarray, "patches 4"]
 
 
 def check_spacing(spacing: str) -> None:
-    """Raise InputError for a spacing that OpenGL does not have."""
+    """Raise InputError for a spacing that OpenGL does not have.
+
+    >>> check_spacing("odd")
+    Traceback (most recent call last):
+        ...
+    slefejax.errors.InputError: there is no spacing 'odd': choose one of equal, fractional-even, fractional-odd
+    """
     check_choice("spacing", spacing, SPACINGS)
 
 
 def highest_level(spacing: str, limit: int = HIGHEST_LEVEL) -> int:
-    """The highest level that acts: one less than the limit where segments are odd."""
+    """The highest level that acts: one less than the limit where segments are odd.
+
+    >>> highest_level("equal"), highest_level("fractional-odd")
+    (64, 63)
+    """
     return limit - 1 if spacing == "fractional-odd" else limit
 
 
@@ -69,6 +79,9 @@ def widest_pieces(levels: Real[np.ndarray, "*shape"], spacing: str) -> Float[np.
     """The widest piece of a level, infinite for 0: with fractional spacing up to a third more than 1/level.
 
     OpenGL leaves it open; as Direct3D 11 has it, widths go in a straight line from one number of segments to the next.
+
+    >>> widest_pieces(np.array([0.0, 2.0, 4.0]), "equal").tolist()
+    [inf, 0.5, 0.25]
     """
     n, levels = segments(levels, spacing), np.asarray(levels, np.float64)
     if spacing == "equal":
@@ -98,6 +111,9 @@ def shares(index: Int[np.ndarray, "*#shape"], count: Int[np.ndarray, "*#shape"])
     """index/count in steps of ``GRID``, rounded: where vertices of patches in pieces are placed.
 
     Those of index and count - index add up to 1.
+
+    >>> (shares(np.array([0, 1, 2]), np.array([2, 2, 2])) * GRID).tolist()
+    [0.0, 0.5, 1.0]
     """
     low = np.minimum(index, count - index)
     steps = ((low << 24) + count // 2) // np.maximum(count, 1)
@@ -115,7 +131,11 @@ def pieces(levels: Int[np.ndarray, "*shape"]) -> Int[np.ndarray, "*shape"]:
 
 
 def pieces_along(inner: Inner, outer: Outer) -> Int[np.ndarray, "patches 2"]:
-    """Into how many pieces patches are cut along u and v (module docstring); 1 for those that are not drawn."""
+    """Into how many pieces patches are cut along u and v (module docstring); 1 for those that are not drawn.
+
+    >>> pieces_along(np.array([[130, 10]]), np.array([[10, 130, 10, 130]])).tolist()
+    [[4, 1]]
+    """
     longest = np.stack([np.maximum(inner[:, a], outer[:, OWN_AXIS == a].max(axis=1)) for a in (0, 1)], axis=1)
     return np.where(np.all(outer > 0, axis=1)[:, None], pieces(longest), 1)
 
@@ -150,6 +170,9 @@ class Pieces(NamedTuple):
     """What the tessellator is given: pieces of patches, patch after patch.
 
     patch : whose they are;  place, along : which piece along u and v, of how many;  inner, outer : their own levels
+
+    >>> Pieces.of(np.array([[128, 8]]), np.array([[8, 128, 8, 128]])).inner.tolist()
+    [[64, 8], [64, 8]]
     """
 
     patch: Int[np.ndarray, "pieces"]

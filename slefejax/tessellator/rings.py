@@ -114,7 +114,11 @@ class Pattern:
 
 @cache
 def direct3d11() -> Pattern:
-    """The pattern of Direct3D 11's tessellator (``slefejax.tessellator.direct3d11``)."""
+    """The pattern of Direct3D 11's tessellator (``slefejax.tessellator.direct3d11``).
+
+    >>> direct3d11().reach.shape
+    (65, 65)
+    """
     levels = np.arange(HIGHEST_LEVEL + 1)
     points = places(levels[:, None], levels[:, None], np.minimum(levels, levels[:, None])) / ONE
     points[0] = levels > 0
