@@ -6,23 +6,36 @@ they need is said in their docstrings and checked here. A traced argument is onl
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from difflib import get_close_matches
 from importlib import import_module
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.core import Tracer
 from jaxtyping import Float, Int
 
 from slefejax.errors import InputError
 
-Patches = Any  # control points (patches, du+1, dv+1, 3), u before v; 4 at the end if rational
-Numbers = Any  # an array of numbers, of the shape that the docstring gives
-Number = Any  # one number
-Segments = Any  # a whole number m >= 1, or a pair (m_u, m_v)
+
+@runtime_checkable
+class HasArray(Protocol):
+    """What JAX makes arrays of: packed patches."""
+
+    def __jax_array__(self) -> Any:
+        """The array."""
+        ...
+
+
+Patches = (
+    Array | np.ndarray | Sequence[Any] | HasArray
+)  # control points (patches, du+1, dv+1, 3), u before v; 4 at the end if rational
+Numbers = Array | np.ndarray | Sequence[Any] | float  # an array of numbers, of the shape that the docstring gives
+Number = Array | np.ndarray | np.floating | np.integer | float  # one number
+Segments = int | tuple[int, ...]  # a whole number m >= 1, or a pair (m_u, m_v)
 _LISTED = 40  # names in a sentence
 
 
@@ -85,7 +98,7 @@ def check_whole(name: str, value: Any, lowest: int) -> None:
         raise InputError(f"{name} must be a whole number of at least {lowest}, not {value!r}", options=(name,))
 
 
-def segment_pair(segments: Segments) -> tuple[int, int]:
+def segment_pair(segments: Any) -> tuple[int, int]:
     """(m_u, m_v) from one number or two, or InputError.
 
     >>> segment_pair(3), segment_pair((2, 4))
@@ -120,7 +133,7 @@ def check_concrete(what: str, *values: Any) -> None:
         raise InputError(f"{what} measures on the host, in float64: call it outside of jit, grad and vmap")
 
 
-def check_positive(name: str, value: Number) -> None:
+def check_positive(name: str, value: Any) -> None:
     """InputError unless the number is positive and finite.
 
     >>> check_positive("tolerance", 0.0)
@@ -139,7 +152,7 @@ def check_positive(name: str, value: Number) -> None:
         raise InputError(f"{name} must be a positive number, not {value!r}", options=(name,))
 
 
-def check_not_negative(name: str, value: Number) -> None:
+def check_not_negative(name: str, value: Any) -> None:
     """InputError unless the number is finite and at least 0.
 
     >>> check_not_negative("weld", -1)
@@ -216,7 +229,7 @@ def real_numbers(values: Any, what: str) -> Float[np.ndarray, "*shape"]:
         raise InputError(f"{what} must be real numbers, in rows of equal lengths") from None
 
 
-def floating(values: Numbers) -> Any:
+def floating(values: Any) -> Array | np.ndarray:
     """Numbers as an array of float32 or float64, whichever they are, or InputError.
 
     Half precision becomes float32; anything else, whole numbers too, float64, on the host, whether JAX has that or not.
@@ -246,7 +259,7 @@ def floating(values: Numbers) -> Any:
     return whole
 
 
-def check_patches(patches: Patches, dims: tuple[int, ...] | None = (3, 4)) -> Any:
+def check_patches(patches: Any, dims: tuple[int, ...] | None = (3, 4)) -> Array | np.ndarray:
     """Patches as a floating-point array of rank 4, or InputError that says what is wrong with its shape.
 
     >>> check_patches(np.zeros((2, 4, 4, 2)))

@@ -75,7 +75,7 @@ def frame_share(
     centre = centre + size * middle @ axes[:2]
     closest = float(np.max(sides[0] + sides[1]) / 2.0)
     closest = max(closest, 1e-3 - float(local[..., 2].min()), 1e-3)
-    distance = _distance(local, half, closest, share)
+    distance = _distance(local, half, closest, float(share))
     depths = distance + local[..., 2]
     near, far = 0.5 * float(depths.min()), 2.0 * float(depths.max())
     return Camera.look_at(centre - forward * distance * size, centre, up, fov_y, near * size, far * size)

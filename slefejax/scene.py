@@ -178,8 +178,8 @@ def load(
     path: str | Path,
     scheme: Scheme | str = "auto",
     *,
-    alpha: Number = ALPHA,
-    steps: Number | None = None,
+    alpha: Any = ALPHA,
+    steps: Any = None,
     group: Any = None,
     drop_defects: Any = False,
     animation: Any = None,
@@ -319,8 +319,8 @@ def _scene(
     path: Path,
     content: Content,
     scheme: Scheme | str,
-    alpha: float,
-    steps: int | None,
+    alpha: Any,
+    steps: Any,
     drop_defects: bool,
     weld: float | None = None,
 ) -> Scene:
@@ -358,7 +358,7 @@ def _scene(
 
 
 def _converted(
-    mesh: Mesh, scheme: Scheme | str, alpha: float, steps: int | None, drop_defects: bool
+    mesh: Mesh, scheme: Scheme | str, alpha: Any, steps: Any, drop_defects: bool
 ) -> tuple[Conversion, tuple[str, ...]]:
     notes: tuple[str, ...] = ()
     if drop_defects:
@@ -389,7 +389,7 @@ def _spline_part(spline: Spline, number: int) -> _Part:
     return _Part([work.on_host(flat)], work.faces, work.kinds)
 
 
-def _built_in(name: str, scheme: Scheme | str, alpha: float, steps: int | None, copies: int, asked: list[str]) -> Scene:
+def _built_in(name: str, scheme: Scheme | str, alpha: Any, steps: Any, copies: int, asked: list[str]) -> Scene:
     made = BUILT_IN[name]()
     meaningless = [
         option for option in asked if isinstance(made, Scene) or option in ("group", "drop_defects", "animation")

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -303,10 +304,10 @@ def test_schemes_that_cannot_do_with_a_mesh(scheme, make, says):
 def test_options_of_schemes():
     for bad in (0.0, -1.0, np.nan, np.inf, "2", None, np.array([1.0, 2.0])):
         with pytest.raises(InputError, match="alpha must be a positive number"):
-            convert(cube(), alpha=bad)
+            convert(cube(), alpha=cast(Any, bad))
     for bad in (0, 9, 1.0, True):
         with pytest.raises(InputError, match="steps must be a whole number from 1 to 8"):
-            convert(cube(), "catmull-clark+acc", steps=bad)
+            convert(cube(), "catmull-clark+acc", steps=cast(Any, bad))
     with pytest.raises(InputError, match="steps belong to the scheme 'catmull-clark"):
         convert(cube(), steps=1)
 

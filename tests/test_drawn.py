@@ -85,8 +85,12 @@ def test_cells_of_unequal_width(level):
     assert exact_errors(a, 0.5 * a, -a, factors.inner) <= 0.5
 
 
-@pytest.mark.parametrize("verify", [False, True])
-@pytest.mark.parametrize("anisotropic", [False, True])
+MIXED = [(False, True), (True, False), (False, False)]
+
+
+@pytest.mark.parametrize(
+    ("verify", "anisotropic"), [(True, True), *(pytest.param(*x, marks=pytest.mark.slow) for x in MIXED)]
+)
 def test_a_flat_patch_is_two_triangles(verify, anisotropic):
     flat = np.zeros((1, 2, 2, 3))
     flat[0, 1, :, 0], flat[0, :, 1, 1] = 1.0, 1.0

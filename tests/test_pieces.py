@@ -178,6 +178,7 @@ def zoomed(fov: float, target: Any = CORNER) -> View:
     return View(Camera.look_at((4.5, -6.0, 4.0), target, fov_y=fov), 720, 450)
 
 
+@pytest.mark.slow
 @pytest.mark.gl
 def test_a_teapot_zoomed_until_factors_pass_500(device, teapot):
     """Certified factors past 500 keep the tolerance, uniform, as drawn and in the picture; edges meet bit by bit."""

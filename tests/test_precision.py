@@ -139,7 +139,7 @@ def test_a_traced_single_camera_is_not_short_for_double_patches():
         assert found[0] <= tight[0] * (1.02 if offset == 0 else 2.0)
 
 
-@pytest.mark.parametrize("offset", [0.0, 1e4])
+@pytest.mark.parametrize("offset", [pytest.param(0.0, marks=pytest.mark.slow), 1e4])
 def test_single_sessions_of_double_scenes(tmp_path, offset):
     """A session in single precision rounds the scene: its certificate counts that."""
     patches = load("teapot").patches()[:4] + [offset, 0.0, 0.0]

@@ -89,6 +89,7 @@ def general(rng, *shape):
     return found
 
 
+@pytest.mark.slow
 def test_scale_goes_before_the_rigid_blend(rng):
     """Against SciPy's polar decomposition: what stretches is blended linearly, what is left as dual quaternions."""
     from scipy.linalg import polar

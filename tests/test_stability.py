@@ -48,6 +48,7 @@ def test_nothing_is_broken_in_an_easy_case(case):
     assert row["containment_worst"] <= 0.0
 
 
+@pytest.mark.slow
 def test_an_enclosure_that_is_too_small_is_found(case, monkeypatch):
     def smaller(*arguments):
         found = slefe_boxes(*arguments)

@@ -37,7 +37,7 @@ def test_window_depth_is_zero_at_near_and_one_at_far(build):
     view = View(build((0, 0, 0), (0, 1, 0), near=0.5, far=20.0), 10, 10)
     assert screen(view, (0, 0.5, 0))[2] == pytest.approx(0.0, abs=1e-14)
     assert screen(view, (0, 20.0, 0))[2] == pytest.approx(1.0, abs=1e-14)
-    near = view.world_to_clip @ [0, 0.5, 0, 1]
+    near = np.asarray(view.world_to_clip) @ [0, 0.5, 0, 1]
     assert near[3] == pytest.approx(view.camera.near_w)
 
 

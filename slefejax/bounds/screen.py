@@ -27,14 +27,14 @@ Grid = Float[Array, "bu bv lanes"]
 class Widths(NamedTuple):
     """Of the boxes of visible tiles: the largest in pixels and in window depth (or None), and if there is one."""
 
-    pixels: Any
-    depth: Any
-    seen: Any
+    pixels: Array
+    depth: Array | None
+    seen: Array
 
 
 def visible_widths(
-    boxes: tuple[Any, Any],
-    control: Any,
+    boxes: tuple[Array, Array],
+    control: Array | None,
     projection: Projection,
     maxima: Maxima,
     segments: tuple[int, int],
@@ -46,7 +46,7 @@ def visible_widths(
     """
     lower, upper = boxes
     inside = inside_of_tiles(lower, upper, projection.frustum)
-    if lower.shape[2] == 4:
+    if lower.shape[2] == 4 and control is not None:
         width, depth = rational_widths(control, projection, segments, with_depth, maxima)
     else:
         width, depth = projected_widths(lower, upper, projection, with_depth, maxima)
@@ -71,7 +71,7 @@ def _seen_boxes(inside: Net) -> Any:
     return jnp.asarray(tile_maxima(around)) >= 0
 
 
-def widest(width: Grid, inside: Net) -> Any:
+def widest(width: Grid, inside: Net) -> Array:
     """The number of the first of the widest boxes that belong to a tile on the screen, counted along v first; or -1."""
     if not nets.unrolled(inside):
         seen = jnp.where(_seen_boxes(inside), width, -1.0).reshape(-1, width.shape[-1])
@@ -88,7 +88,7 @@ def widest(width: Grid, inside: Net) -> Any:
 
 
 def projected_widths(
-    lower: Any, upper: Any, projection: Projection, with_depth: bool, maxima: Maxima = EXACT
+    lower: Array, upper: Array, projection: Projection, with_depth: bool, maxima: Maxima = EXACT
 ) -> tuple[Grid, Grid | None]:
     """Longer side of the rectangle around each projected box ([YBP12], (7), (8)), pixels; its extent in window depth.
 
@@ -128,7 +128,7 @@ def rational_boxes(
     segments: tuple[int, int],
     rows: int,
     maxima: Maxima = EXACT,
-) -> tuple[Any, Any, Any]:
+) -> tuple[Array, Array, Array]:
     """Position s on the screen at each breakpoint, and from how far below it to how far above (docs/math.md, 6).
 
     Each ``(bu, bv, rows, lanes)``, rows of pixels and window depth: the slefe of X - s W, over W. X, Y and W are the

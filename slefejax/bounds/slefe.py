@@ -273,7 +273,7 @@ def outward(bounds: tuple[Any, Any], coefficients: Float[Array, "n *rest"], segm
     return bounds[0] - error, bounds[1] + error
 
 
-def rounding(coefficients: Float[Array, "n *rest"], times: float) -> Any:
+def rounding(coefficients: Float[Array, "n *rest"], times: float) -> Array:
     """So many eps of the largest size of coefficients along the first axis; more where numbers underflow.
 
     >>> float(rounding(jnp.array([1.0, -4.0]), 2.0)) == 8.0 * 2.0**-52
@@ -301,7 +301,9 @@ def enclose_patch(
     return loops.once((lower, upper))
 
 
-def box_at(control: Float[Array, "nu nv *rest lanes"], place: tuple[Any, Any], segments: tuple[int, int]) -> Any:
+def box_at(
+    control: Float[Array, "nu nv *rest lanes"], place: tuple[Any, Any], segments: tuple[int, int]
+) -> tuple[Array, Array]:
     """Ends ``(*rest, lanes)`` of one box of ``enclose_patch`` a lane, at breakpoints (i, j), both ``(lanes,)``."""
     across = _enclose_there(jnp.swapaxes(control, 0, 1), segments[1], place[1])
     return _enclose_there(across[0], segments[0], place[0])[0], _enclose_there(across[1], segments[0], place[0])[1]
@@ -348,5 +350,5 @@ def outward_patch(control: Float[Array, "nu nv *rest"], segments: tuple[int, int
 
 
 @passes.as_pass(1)
-def _outward_boxes(packed: Any, segments: tuple[int, int]) -> tuple[Any, Any]:
+def _outward_boxes(packed: Array | np.ndarray, segments: tuple[int, int]) -> tuple[Any, Any]:
     return loops.over_chunks(outward_patch, packed, segments)

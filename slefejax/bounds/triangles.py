@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 
+from slefejax.arguments import Number
 from slefejax.lanes import nets
 from slefejax.lanes.maxima import EXACT, Maxima, larger, smaller
 from slefejax.lanes.nets import Lanes
 
-Extent = tuple[Any, Any]  # sides of the box that holds a triangle, in units of 1/n, along u and v
+Extent = tuple[Number, Number]  # sides of the box that holds a triangle, in units of 1/n, along u and v
 _CUBIC = 1.0 / (12.0 * 27.0**0.5)  # the largest (1 - z^2) z / 24
 
 
@@ -25,9 +25,9 @@ class HalfCells:
     """
 
     extent: Extent = (1.0, 1.0)
-    evenness: Any = 1.0
+    evenness: Number = 1.0
 
-    def bend(self, a: Any, b: Lanes, c: Any, maxima: Maxima = EXACT) -> Lanes:
+    def bend(self, a: Lanes | None, b: Lanes, c: Lanes | None, maxima: Maxima = EXACT) -> Lanes:
         """8 times the largest error that a quadratic with Hessian (a, b, c) has on such a half; None for what is 0.
 
         A narrower box has larger errors if a and c cancel less.
@@ -56,7 +56,7 @@ class AnyTriangle:
 
     extent: Extent = (1.0, 1.0)
 
-    def bend(self, a: Any, b: Lanes, c: Any, maxima: Maxima = EXACT) -> Lanes:
+    def bend(self, a: Lanes | None, b: Lanes, c: Lanes | None, maxima: Maxima = EXACT) -> Lanes:
         """8 times that error, or a little more: the largest abs(a x^2 + 2 b x y + c y^2) for sizes x, y up to 1."""
         if a is None or c is None:
             return sum_of_sizes(a, b, c, maxima)
@@ -73,7 +73,7 @@ class AnyTriangle:
 Triangles = HalfCells | AnyTriangle
 
 
-def sum_of_sizes(a: Any, b: Lanes, c: Any, maxima: Maxima = EXACT) -> Lanes:
+def sum_of_sizes(a: Lanes | None, b: Lanes, c: Lanes | None, maxima: Maxima = EXACT) -> Lanes:
     """abs(a) + 2 abs(b) + abs(c); None for what is 0.
 
     >>> sum_of_sizes(jnp.array(-1.0), jnp.array(2.0), None).item()

@@ -14,6 +14,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.core import Tracer
 from jaxtyping import Int
 
@@ -43,7 +44,7 @@ class Packed:
     rounded: bool
 
     @staticmethod
-    def made(chunks: Any, count: int, rounded: bool = False) -> Packed:
+    def made(chunks: Array | np.ndarray, count: int, rounded: bool = False) -> Packed:
         """Patches that are in the layout of the kernels already."""
         return Packed(None, chunks, count, rounded)
 
@@ -134,7 +135,7 @@ def packed_numbers(net: Int[np.ndarray, "patches nu nv"]) -> Int[np.ndarray, "ch
     return np.asarray(layout.pack(net.astype(np.int32)))
 
 
-def chunks_of(points: Any, numbers: Any) -> Any:
+def chunks_of(points: Array | np.ndarray, numbers: Array | np.ndarray) -> Array:
     """Control points ``(chunks, nu, nv, dim, lanes)`` of patches whose ``packed_numbers`` these are, by JAX.
 
     >>> points = np.arange(12.0).reshape(4, 3)

@@ -8,7 +8,10 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
+from jax.typing import DTypeLike
 
+from slefejax.arguments import Number
 from slefejax.geometry.view import View
 from slefejax.lanes import nets
 from slefejax.lanes.nets import Lanes, Net
@@ -33,7 +36,7 @@ class Projection(NamedTuple):
     rounded: Any = 0.0  # 1 if points were rounded before the origin is taken off, else 0
 
     @staticmethod
-    def of(view: View, dtype: Any = np.float64, origin: Any = None, rounded: bool = False) -> Projection:
+    def of(view: View, dtype: DTypeLike = np.float64, origin: Any = None, rounded: bool = False) -> Projection:
         """Numbers of a type. The frustum: left, right, bottom, top, near and far plane.
 
         origin : three numbers of that type; None: the eye. What the eye loses in that type is part of the matrices
@@ -51,12 +54,12 @@ class Projection(NamedTuple):
         """World points relative to the origin (``relative``)."""
         return relative(points, self.origin, axis)
 
-    def undivided(self, control: Any) -> list[Any]:
+    def undivided(self, control: Array | np.ndarray) -> list[Any]:
         """X, Y, Z, W ``(du+1, dv+1, lanes)`` of control points ``(du+1, dv+1, 3 or 4, lanes)`` near the origin."""
         return undivided(self.to_pixels, nets.coordinates(control, unrolled=False))
 
 
-def undivided(rows: Any, points: list[Net]) -> list[Net]:
+def undivided(rows: Array | np.ndarray | list[Any], points: list[Net]) -> list[Net]:
     """Linear functions of points given by coordinates, three or four homogeneous ones: the rows of ``(r, 4)``.
 
     >>> x, w = undivided(np.array([[2.0, 0, 0, 1], [0, 0, 1, 0]]), [np.array([3.0]), np.array([0.0]), np.array([5.0])])
@@ -71,7 +74,7 @@ def _image(row: list[Any], *point: Lanes) -> Lanes:
     return nets.total([m * x for m, x in zip(row, point, strict=False)] + affine)
 
 
-def numbers(matrix: Any) -> list[list[Any]]:
+def numbers(matrix: Array | np.ndarray | list[Any]) -> list[list[Any]]:
     """The entries, each taken out once: where they are used again and again, that is a third of the program.
 
     >>> numbers(np.eye(4))[1] == [0, 1, 0, 0]
@@ -80,7 +83,7 @@ def numbers(matrix: Any) -> list[list[Any]]:
     return [[row[a] for a in range(4)] for row in matrix]
 
 
-def reaches(row: Net, w: Net, half: Any) -> tuple[Lanes, Lanes]:
+def reaches(row: Net, w: Net, half: Number) -> tuple[Lanes, Lanes]:
     """How far inside of the planes row/W = -half and +half the innermost coefficients are; negative if outside.
 
     >>> row, w = jnp.array([[[1.0]]]), jnp.array([[[2.0]]])
@@ -92,7 +95,7 @@ def reaches(row: Net, w: Net, half: Any) -> tuple[Lanes, Lanes]:
     )
 
 
-def relative(points: Any, origin: Any, axis: int = -2) -> Any:
+def relative(points: Any, origin: Array | np.ndarray, axis: int = -2) -> Array | np.ndarray:
     """Points, three or four homogeneous coordinates along an axis, relative to an origin.
 
     >>> relative(np.array([[2.0, 4.0, 6.0, 2.0]]), np.array([1.0, 1.0, 1.0]), axis=-1).tolist()
@@ -108,7 +111,7 @@ def relative(points: Any, origin: Any, axis: int = -2) -> Any:
     return xp.concatenate([own - weight * origin, weight], axis=axis)
 
 
-def least_distance(dtype: Any) -> float:
+def least_distance(dtype: DTypeLike) -> float:
     """How small distances to the near plane may be, so that products of two such numbers keep their digits.
 
     >>> least_distance(np.float32) < 2e-19
@@ -117,7 +120,7 @@ def least_distance(dtype: Any) -> float:
     return float(jnp.finfo(dtype).tiny) ** 0.5
 
 
-def harmless(control: Any, projection: Projection, scale: Any = 1.0) -> Any:
+def harmless(control: Array, projection: Projection, scale: Number = 1.0) -> Array:
     """Whether all control points are finite, and small enough for their images, over a scale, to be."""
     # the sum of their sizes, which costs less than the largest of them and is not much more
     reach, eye = nets.sum_of_sizes(control), jnp.max(jnp.abs(projection.origin))
@@ -126,7 +129,7 @@ def harmless(control: Any, projection: Projection, scale: Any = 1.0) -> Any:
     return jnp.isfinite(64 * (reach / scale) * jnp.max(jnp.abs(projection.frustum)))
 
 
-def positive(control: Any) -> Any:
+def positive(control: Array) -> Array | bool:
     """Whether all weights are; polynomial patches, ``(du+1, dv+1, 3, lanes)``, have none.
 
     >>> bool(positive(jnp.ones((2, 2, 4, 1)))[0]), positive(jnp.ones((2, 2, 3, 1)))

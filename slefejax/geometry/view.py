@@ -18,6 +18,7 @@ where a camera is traced (to differentiate by it).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -28,13 +29,13 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from slefejax.arguments import real_numbers
+from slefejax.arguments import Number, real_numbers
 from slefejax.errors import InputError
 from slefejax.lanes.plain import plain
 
-Matrix = Any  # (4, 4), NumPy or JAX
+Matrix = Array | np.ndarray  # (4, 4), NumPy or JAX
 LARGEST = 1e100  # squares and products of such numbers are still finite
-Vector = Any  # three numbers: a tuple, a list or an array
+Vector = Array | np.ndarray | Sequence[Any]  # three numbers: a tuple, a list or an array
 
 
 def _namespace(*values: Any) -> ModuleType:
@@ -82,9 +83,9 @@ class Camera:
         eye: Vector,
         target: Vector,
         up: Vector = (0.0, 0.0, 1.0),
-        fov_y: Any = 45.0,
-        near: Any = 0.1,
-        far: Any = 100.0,
+        fov_y: Number = 45.0,
+        near: Number = 0.1,
+        far: Number = 100.0,
     ) -> Camera:
         """A perspective camera at ``eye`` that looks towards ``target``; ``fov_y`` in degrees.
 
@@ -104,9 +105,9 @@ class Camera:
         eye: Vector,
         target: Vector,
         up: Vector = (0.0, 0.0, 1.0),
-        height: Any = 2.0,
-        near: Any = 0.1,
-        far: Any = 100.0,
+        height: Number = 2.0,
+        near: Number = 0.1,
+        far: Number = 100.0,
     ) -> Camera:
         """A camera without perspective whose picture is ``height`` scene units high. Raises as ``look_at``."""
         _check(_scalar(height) > 0.0, f"height must be positive, not {height}")
@@ -153,7 +154,7 @@ class Camera:
         upper = xp.concatenate([rotation, translation[:, None]], axis=1)
         return xp.concatenate([upper, xp.asarray([[0.0, 0.0, 0.0, 1.0]])])
 
-    def eye_to_clip(self, aspect: Any) -> Matrix:
+    def eye_to_clip(self, aspect: Number) -> Matrix:
         """OpenGL's projection matrix; ``aspect`` is width over height."""
         xp = _namespace(self, aspect)
         near, far = _scalar(self.near), _scalar(self.far)

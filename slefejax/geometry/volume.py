@@ -6,6 +6,7 @@ from itertools import chain
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from slefejax.geometry.projection import Projection, numbers
@@ -15,7 +16,7 @@ from slefejax.lanes.nets import Net
 from slefejax.lanes.tuning import TUNING
 
 
-def inside_of_tiles(lower: Any, upper: Any, frustum: Float[Array, "6 4"]) -> Net:
+def inside_of_tiles(lower: Array, upper: Array, frustum: Float[Array, "6 4"]) -> Net:
     """The Q-test: at least 0 for every tile, unless its four boxes lie outside of one and the same plane.
 
     Where W > 0 this is the test of the rectangle Q against the screen ([YBP12], section 6), with near and far added;
@@ -53,7 +54,7 @@ def tile_maxima(net: Net) -> Net:
     return net
 
 
-def few(grid: Any) -> bool:
+def few(grid: Array | np.ndarray) -> bool:
     """Whether a grid is few enough boxes for one after the other, of which the compiler makes faster code.
 
     >>> few(jnp.zeros((4, 4, 3, 16))), few(jnp.zeros((9, 9, 3, 16)))
@@ -62,7 +63,7 @@ def few(grid: Any) -> bool:
     return grid.shape[0] * grid.shape[1] <= TUNING.unrolled_boxes
 
 
-def on_screen(control: Any, projection: Projection) -> Any:
+def on_screen(control: Array, projection: Projection) -> Array:
     """Whether the box around the control points reaches into the view volume."""
     low, high = jnp.min(control, axis=(0, 1)), jnp.max(control, axis=(0, 1))
     low, high = (jnp.broadcast_to(bound, (2, 2, *bound.shape)) for bound in (low, high))

@@ -14,15 +14,16 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from slefejax.lanes.maxima import EXACT, Maxima, larger, smaller, smallest_along
 from slefejax.lanes.tuning import TUNING
 
-Lanes = Any  # (lanes,)
-Net = Any  # (nu, nv) of (lanes,), or (nu, nv, lanes)
+Lanes = Array  # (lanes,)
+Net = Array | np.ndarray  # (nu, nv, lanes), or (nu, nv) of (lanes,)
 
 
-def coordinates(control: Any, unrolled: bool) -> list[Net]:
+def coordinates(control: Array | np.ndarray, unrolled: bool) -> list[Net]:
     """One net for every coordinate of ``(nu, nv, dim, lanes)``.
 
     >>> [net.shape for net in coordinates(jnp.zeros((4, 3, 3, 16)), unrolled=True)]
@@ -72,7 +73,7 @@ def top(net: Net, maxima: Maxima = EXACT) -> Lanes:
     >>> top(jnp.arange(4.0).reshape(2, 2, 1)).tolist()
     [3.0]
     """
-    return _tree(larger, net) if unrolled(net) else maxima.largest_along(net, (0, 1))
+    return _tree(larger, net) if unrolled(net) else maxima.largest_along(jnp.asarray(net), (0, 1))
 
 
 def bottom(net: Net) -> Lanes:
@@ -81,7 +82,7 @@ def bottom(net: Net) -> Lanes:
     >>> bottom(jnp.arange(4.0).reshape(2, 2, 1)).tolist()
     [0.0]
     """
-    return _tree(smaller, net) if unrolled(net) else smallest_along(net, (0, 1))
+    return _tree(smaller, net) if unrolled(net) else smallest_along(jnp.asarray(net), (0, 1))
 
 
 def size(net: Net) -> int:
@@ -164,7 +165,7 @@ def bilinear_times(corners: list[list[Lanes]], net: Net) -> Net:
     return total([each(lambda c, k=weight: c * k, part) for weight, part in zip(weights, parts, strict=True)])
 
 
-def sum_of_sizes(control: Any) -> Lanes:
+def sum_of_sizes(control: Array | np.ndarray) -> Lanes:
     """The sum of the sizes of all numbers of ``(nu, nv, dim, lanes)``.
 
     >>> sum_of_sizes(jnp.full((2, 2, 3, 1), -1.0)).tolist()
@@ -175,7 +176,7 @@ def sum_of_sizes(control: Any) -> Lanes:
     return total([jnp.abs(control[place]) for place in np.ndindex(*control.shape[:3])])
 
 
-def stacked(net: Net) -> Any:
+def stacked(net: Net) -> Array:
     """A net as an array ``(nu, nv, lanes)``.
 
     >>> stacked(objects([[jnp.zeros(5), jnp.ones(5)]])).shape

@@ -82,7 +82,7 @@ def sampled_error(patches: Patches, factors: Any, view: View) -> Float[np.ndarra
 def worst_points(patches: Patches, factors: Any, view: View) -> Supremum:
     """``sampled_error`` and the parameters of the maxima. Arguments and errors as there."""
     check_concrete("sampled_error", patches, factors, view)
-    patches = check_patches(patches)
+    patches = np.asarray(check_patches(patches))
     levels = level_pairs(factors, len(patches))
     surface = Surface.of(patches, view)
     parts = [_worst_of(surface, chosen, levels[chosen]) for chosen in _blocks(_window_counts(levels)) if chosen.size]

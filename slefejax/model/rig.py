@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.core import Tracer
 from jaxtyping import Bool, Float, Int
 
@@ -116,7 +117,7 @@ class Skeleton:
         parent = np.where((self.parents >= 0)[:, None, None], self.inverse_bind[self.parents], np.eye(4))
         return parent @ self.bind
 
-    def world(self, local: Any) -> Any:
+    def world(self, local: Array | np.ndarray) -> Array | np.ndarray:
         """``(joints, 4, 4)`` world transforms of local ones; differentiable.
 
         Products of 1, 2, 4 … generations: as many steps as the depth of the tree has binary digits.
@@ -129,7 +130,7 @@ class Skeleton:
             above = np.where(above >= 0, above[np.maximum(above, 0)], -1)
         return found
 
-    def transforms(self, local: Any) -> Any:
+    def transforms(self, local: Array | np.ndarray) -> Array | np.ndarray:
         """``(joints, 3, 4)``: what moves vertices of the rest pose, world times inverse bind."""
         world = self.world(local)
         return jnp.einsum("jab,jbc->jac", world, jnp.asarray(self.inverse_bind, world.dtype))[:, :3]
@@ -180,12 +181,12 @@ class Motion:
         k = jnp.clip(jnp.searchsorted(times, time, side="right") - 1, 0, len(self.times) - 2)
         return k, jnp.clip((time - times[k]) / (times[k + 1] - times[k]), 0.0, 1.0)
 
-    def local(self, time: Any) -> Any:
+    def local(self, time: Any) -> Array | np.ndarray:
         """``(joints, 4, 4)`` local transforms at a time; they stay before the first and after the last."""
         k, share = self._between(time)
         n = min(1, len(self.times) - 1)
 
-        def linear(values: Any) -> Any:
+        def linear(values: Any) -> Array | np.ndarray:
             values = jnp.asarray(values)
             return (1 - share) * values[k] + share * values[k + n]
 
@@ -196,14 +197,14 @@ class Motion:
         last = jnp.broadcast_to(jnp.asarray([0.0, 0.0, 0.0, 1.0], upper.dtype), (len(upper), 1, 4))
         return jnp.concatenate([upper, last], axis=1)
 
-    def weights(self, time: Any) -> Any:
+    def weights(self, time: Any) -> Array | np.ndarray:
         """``(keys,)`` weights of the shape keys at a time."""
         k, share = self._between(time)
         values = jnp.asarray(self.keys)
         return (1 - share) * values[k] + share * values[k + min(1, len(self.times) - 1)]
 
 
-def _arc(p: Any, q: Any, share: Any) -> Any:
+def _arc(p: Array | np.ndarray, q: Array | np.ndarray, share: Any) -> Array | np.ndarray:
     """Spherical interpolation of unit quaternions, the short way; straight where they are close."""
     cosine = jnp.sum(p * q, axis=-1, keepdims=True)
     q, cosine = jnp.where(cosine < 0, -q, q), jnp.abs(cosine)
@@ -260,7 +261,7 @@ class Rig:
                 weights = self.motion.weights(time)
         return Pose(local, weights if keys is None else self._weights(keys, weights))
 
-    def _weights(self, given: Any, own: Any) -> Any:
+    def _weights(self, given: Any, own: Any) -> Array | np.ndarray:
         names = self.keys.names if self.keys is not None else ()
         if not isinstance(given, Mapping):
             if np.shape(given) != (len(names),):
@@ -276,7 +277,9 @@ class Rig:
         places = np.array([names.index(name) for name in given], np.int64)
         return own.at[places].set(jnp.stack([jnp.asarray(w, own.dtype) for w in given.values()])) if given else own
 
-    def deform(self, rest: Any, transforms: Any, influences: Influences) -> Any:
+    def deform(
+        self, rest: Array | np.ndarray, transforms: Array | np.ndarray, influences: Influences
+    ) -> Array | np.ndarray:
         """The deformation that the file asks for, linear where it asks for none; each vertex by its own."""
         dual = self.dual_quaternions
         if dual is None or not dual.any():
@@ -284,7 +287,7 @@ class Rig:
         blended = dual_quaternion_blend(rest, transforms, influences)
         return blended if dual.all() else jnp.where(dual[:, None], blended, linear_blend(rest, transforms, influences))
 
-    def posed(self, rest: Any, pose: Pose, deform: Deformation | None = None) -> Any:
+    def posed(self, rest: Array | np.ndarray, pose: Pose, deform: Deformation | None = None) -> Array | np.ndarray:
         """Positions ``(vertices, 3)`` of the mesh moved to where they are in a pose: shape keys first, then bones.
 
         deform : how bones move vertices; None: as the file says

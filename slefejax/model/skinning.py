@@ -20,8 +20,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jaxtyping import Float, Int
 
+from slefejax.arguments import Numbers
 from slefejax.errors import InputError
 from slefejax.model.stencils import StencilTable
 
@@ -38,7 +40,7 @@ class Influences:
     table: StencilTable
 
     @staticmethod
-    def of(indices: Any, weights: Any, bones: int) -> Influences:
+    def of(indices: Any, weights: Numbers, bones: int) -> Influences:
         """From ``(vertices, k)`` bone numbers and weights; zero weights are padding. Weights are divided by their sum.
 
         Raises InputError for a bone that does not exist, a weight that is negative or not finite, and a vertex whose
@@ -85,7 +87,9 @@ class Influences:
         return matrix.indices[order[matrix.indptr[:-1]]].astype(np.int32)
 
 
-def linear_blend(rest: Any, transforms: Any, influences: Influences) -> Any:
+def linear_blend(
+    rest: Array | np.ndarray, transforms: Array | np.ndarray, influences: Influences
+) -> Array | np.ndarray:
     """v' = (sum_k w_k M_k) v for rest positions ``(vertices, 3)`` and transforms M ``(bones, 3, 4)``.
 
     With frames first, ``(frames, bones, 3, 4)`` (and the rest positions too, if they change), so is the result.
@@ -103,7 +107,9 @@ def linear_blend(rest: Any, transforms: Any, influences: Influences) -> Any:
     return blended[..., 0] * x + blended[..., 1] * y + blended[..., 2] * z + blended[..., 3]
 
 
-def dual_quaternion_blend(rest: Any, transforms: Any, influences: Influences) -> Any:
+def dual_quaternion_blend(
+    rest: Array | np.ndarray, transforms: Array | np.ndarray, influences: Influences
+) -> Array | np.ndarray:
     """Blends rigid motions, so that limbs that twist keep their volume [KCZO08].
 
     As ``linear_blend``. Of a transform that scales or shears, M = R P with a rotation R and a symmetric P, P is blended
@@ -164,7 +170,7 @@ def _polar_rotations_jvp(primals: tuple[Any], tangents: tuple[Any]) -> tuple[Any
     return turn, turn @ jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def _on_one_side(both: Any, influences: Influences) -> Any:
+def _on_one_side(both: Any, influences: Influences) -> Array | np.ndarray:
     """sum_k w_k s_k q_k, with the signs s that bring every q_k to the side of the strongest bone's."""
     table, strongest = influences.table, influences.strongest
     sums = []
@@ -179,7 +185,7 @@ def _on_one_side(both: Any, influences: Influences) -> Any:
     return jnp.concatenate(sums)[table.order]
 
 
-def quaternions(rotations: Any) -> Any:
+def quaternions(rotations: Array | np.ndarray) -> Array | np.ndarray:
     """Unit quaternions (w, x, y, z), of either sign, of rotation matrices ``(..., 3, 3)``; scale does not matter.
 
     Of the four formulas that divide by one component each, the one with the largest is taken [She78].
@@ -204,7 +210,7 @@ def quaternions(rotations: Any) -> Any:
     return chosen / jnp.linalg.norm(chosen, axis=-1, keepdims=True)
 
 
-def multiply(p: Any, q: Any) -> Any:
+def multiply(p: Array | np.ndarray, q: Array | np.ndarray) -> Array | np.ndarray:
     """The product of quaternions (w, x, y, z).
 
     >>> multiply(np.array([0.0, 1, 0, 0]), np.array([0.0, 0, 1, 0])).tolist()  # i j = k
@@ -255,14 +261,14 @@ class ShapeKeys:
         table = StencilTable.of(row, offset, value, (3 * vertices, column))
         return ShapeKeys(tuple(key.name for key in shapes), table, tuple(places))
 
-    def shape_weights(self, weights: Any) -> Any:
+    def shape_weights(self, weights: Array | np.ndarray) -> Array | np.ndarray:
         """``(keys,)`` weights to weights of all shapes, those between 0 and 1 included."""
         parts = []
         for k, places in enumerate(self.places):
             parts += _hats(weights[k], places)
         return jnp.stack(parts) if parts else jnp.zeros((0,))
 
-    def offsets(self, weights: Any) -> Any:
+    def offsets(self, weights: Array | np.ndarray) -> Array | np.ndarray:
         """``(vertices, 3)`` offsets for ``(keys,)`` weights, by JAX; differentiable by them."""
         return self.table(self.shape_weights(weights)).reshape(-1, 3)
 
@@ -289,7 +295,7 @@ def _hats(weight: Any, places: tuple[float, ...]) -> list[Any]:
     return [values[order.index(place)] for place in places[1:]]
 
 
-def rotation_matrices(q: Float[Any, "*rest 4"]) -> Any:
+def rotation_matrices(q: Float[Any, "*rest 4"]) -> Array | np.ndarray:
     """``(..., 3, 3)`` rotations of quaternions (w, x, y, z), which need not be units.
 
     >>> rotation_matrices(np.array([0.0, 0.0, 0.0, 1.0])).tolist()  # half a turn about z

@@ -41,7 +41,7 @@ def certified_factors(
 
 
 @certified_factors.slopes
-def _slopes(control: Any, _: Any, projection: Projection, tolerances: Any, maxima: Maxima, *, tiles: int) -> Any:
+def _slopes(control: Array, _: Any, projection: Projection, tolerances: Any, maxima: Maxima, *, tiles: int) -> Array:
     near = projection.relative(control)
     return certified_factor(near, projection, tolerances, tiles=tiles, maxima=maxima, unrolled=False)
 
@@ -123,7 +123,7 @@ class Screen(NamedTuple):
     rational: bool
 
     @staticmethod
-    def of(control: Any, projection: Projection, tolerances: Any, unrolled: bool) -> Screen:
+    def of(control: Array, projection: Projection, tolerances: Any, unrolled: bool) -> Screen:
         """From control points relative to the origin. An unseen patch may count as visible, never the reverse."""
         rational, (pixels, depth) = control.shape[2] == 4, tolerances
         scales = [1.0 / pixels, 1.0 / pixels, 1.0 if depth is None else 1.0 / depth]
@@ -225,7 +225,9 @@ def _least_square(screen: Screen, whole: Piece, extent: Extent, maxima: Maxima) 
         for i, j in ((0, 0), (0, -1), (-1, 0), (-1, -1)):
             inverse = whole.inverse[i, j]
             s = row[i, j] * inverse
-            value = [x[i, j] - s * y[i, j] if nets.size(x) else None for x, y in zip(own, depth, strict=True)]
+            value: list[Any] = [
+                x[i, j] - s * y[i, j] if nets.size(x) else None for x, y in zip(own, depth, strict=True)
+            ]
             square = maxima.largest([square, cells.bend(*value, maxima=maxima) * inverse / 8.0])
     return square
 
@@ -321,7 +323,7 @@ def _last_visible(screen: Screen, piece: Piece, bends: list[Lanes]) -> Lanes:
 def _largest_sum(net: Net, extent: Extent, maxima: Maxima) -> Lanes:
     """At least the largest |uu| + 2 |uv| + |vv|, each over its own coefficients."""
     parts = _plain_hessian(net, extent)
-    tops = [nets.top(nets.each(jnp.abs, part), maxima) if nets.size(part) else None for part in parts]
+    tops: list[Any] = [nets.top(nets.each(jnp.abs, part), maxima) if nets.size(part) else None for part in parts]
     return sum_of_sizes(tops[0], tops[1], tops[2])
 
 
@@ -334,9 +336,12 @@ def _measured(triangles: Triangles, s: Lanes, own: Hessian, depth: Hessian, inve
     """What triangles are off by the Hessian of g_s over W, coefficient by coefficient."""
     there = [x is not None for x in own]
 
+    def minus(x: Lanes, y: Lanes) -> Lanes:
+        return x - s * y
+
     def at(i: Lanes, *values: Lanes) -> Lanes:
         pairs = zip(values[::2], values[1::2], strict=True)
-        hessian = [None if not given else (lambda x, y: x - s * y)(*next(pairs)) for given in there]
+        hessian: list[Any] = [None if not given else minus(*next(pairs)) for given in there]
         return triangles.bend(*hessian, maxima=maxima) * i
 
     return nets.each(at, inverse, *(x for pair in zip(own, depth, strict=True) for x in pair if x is not None))

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax.lax import select
 from jaxtyping import Array, Float
 
+from slefejax.arguments import Number
 from slefejax.bounds.screen import projected_widths, visible_widths, widest
 from slefejax.bounds.slefe import box_at, enclose_patch
 from slefejax.geometry.projection import Projection, harmless, relative, unless_bad
@@ -27,9 +28,9 @@ class Scales(NamedTuple):
     True
     """
 
-    pixels: Any
-    depth: Any
-    k: Any
+    pixels: Number
+    depth: Number | None
+    k: Number
 
 
 @loops.chunked
@@ -108,12 +109,12 @@ def boxes_pass(packed: Any, origin: Any, maxima: Maxima, segments: tuple[int, in
 
 @loops.chunked
 def _boxes(control: Any, origin: Any, maxima: Maxima, *, segments: tuple[int, int]) -> tuple[Any, Any]:
-    return enclose_patch(relative(control, origin), segments, maxima)
+    return enclose_patch(jnp.asarray(relative(control, origin)), segments, maxima)
 
 
 def factor_of_boxes(
-    boxes: tuple[Any, Any],
-    control: Any,
+    boxes: tuple[Array, Array],
+    control: Array | None,
     projection: Projection,
     scales: Scales,
     maxima: Maxima,
@@ -125,13 +126,13 @@ def factor_of_boxes(
     """
     width, depth, seen = visible_widths(boxes, control, projection, maxima, segments, scales.depth is not None)
     demand = width / scales.pixels
-    if depth is not None:
+    if depth is not None and scales.depth is not None:
         demand = maxima.largest([demand, depth / scales.depth])
     factor = tau(demand, scales.k, max(segments), maxima)
     return select(seen, factor, jnp.zeros_like(factor))
 
 
-def tau(demand: Any, k: Any, m: int, maxima: Maxima = EXACT) -> Any:
+def tau(demand: Array, k: Number, m: int, maxima: Maxima = EXACT) -> Array:
     """tau = k_m m sqrt(w / tolerance) ([YBP12], (9); [YBP14], (7)), but at least 1.
 
     Below 1 it is constant, so its gradient there is 0, and finite at w = 0.
@@ -139,5 +140,5 @@ def tau(demand: Any, k: Any, m: int, maxima: Maxima = EXACT) -> Any:
     >>> tau(jnp.array(16.0), 1.0, 3).item(), tau(jnp.array(0.0), 1.0, 3).item()
     (12.0, 1.0)
     """
-    square = (k * m) ** 2 * demand
+    square = jnp.asarray((k * m) ** 2 * demand)
     return jnp.sqrt(maxima.largest([square, jnp.ones_like(square)]))

@@ -119,7 +119,7 @@ class Factors:
         >>> from slefejax import Camera, load
         >>> patches = load("teapot").patches()
         >>> view = View(Camera.look_at((4.5, -6.0, 4.0), (0.0, 0.0, 1.2)), width=1440, height=900)
-        >>> found = jax.jit(lambda given: tessellation_factors(given, view, "slefe"))(patches)
+        >>> found = jax.jit(lambda given: tessellation_factors(given, view, "minmax"))(patches)
         >>> found.at(patches, view).edges.shape
         (32, 4)
         """

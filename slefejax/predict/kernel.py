@@ -63,7 +63,7 @@ class Prepared(NamedTuple):
     made: Any = None
 
     @staticmethod
-    def of(patches: Any) -> Prepared:
+    def of(patches: Patches | Prepared) -> Prepared:
         """Nothing but the patches: what is missing is computed on the way."""
         return patches if isinstance(patches, Prepared) else Prepared(pack(patches))
 
@@ -92,7 +92,7 @@ class Kernel:
             raise InputError(f"method {self.name!r} knows no depth_tolerance", options=("depth_tolerance",))
 
     @property
-    def formula(self) -> Any:
+    def formula(self) -> Kernel:
         """The same without what the kernel does not look at, so that it is not compiled anew for that."""
         return self
 
@@ -106,7 +106,7 @@ class Kernel:
         """What is not computed because it was not asked for, a sentence each."""
         return (f"slefe boxes: the method {self.name} does without",)
 
-    def prepare(self, patches: Patches, /) -> Any:
+    def prepare(self, patches: Patches, /) -> Prepared:
         """What all views of patches share: their layout."""
         return Prepared.of(patches)
 
@@ -122,11 +122,11 @@ class Kernel:
         """The formula and the tolerances with their numbers in the precision of the kernels."""
         return jax.tree.map(lambda number: jnp.asarray(number, dtype), (self.formula, tolerances))
 
-    def kernel(self, control: Any, projection: Projection, tolerances: Tolerances) -> Float[Array, "lanes"]:
+    def kernel(self, control: Array, projection: Projection, tolerances: Tolerances) -> Float[Array, "lanes"]:
         """The factors of patches ``(du+1, dv+1, dim, lanes)`` relative to the projection's origin."""
         raise NotImplementedError
 
-    def over(self, seen: tuple[Any, Any, Any], projection: Projection, tolerances: Tolerances) -> Any:
+    def over(self, seen: tuple[Any, Any, Any], projection: Projection, tolerances: Tolerances) -> Array:
         """The kernel for all chunks; 0 for patches that are off the screen, NaN for harmful ones."""
 
         def visible(control: Any, projection: Projection, tolerances: Tolerances, formula: Any) -> Any:

@@ -51,7 +51,7 @@ class Filip(Kernel):
             raise InputError("method 'filip' bounds polynomial patches, (patches, du+1, dv+1, 3): these are rational")
         super().check(dimension, tolerances)
 
-    def kernel(self, control: Control, projection: Projection, tolerances: Tolerances) -> Any:
+    def kernel(self, control: Control, projection: Projection, tolerances: Tolerances) -> Array:
         """sqrt of the error of one piece over the tolerance."""
         du, dv = control.shape[0] - 1, control.shape[1] - 1
         by_u, by_v = jnp.diff(control, axis=0), jnp.diff(control, axis=1)
@@ -76,7 +76,7 @@ class Minmax(Kernel):
 
     name = "minmax"
 
-    def kernel(self, control: Control, projection: Projection, tolerances: Tolerances) -> Any:
+    def kernel(self, control: Control, projection: Projection, tolerances: Tolerances) -> Array:
         """Pieces whose box is as small as the tolerance."""
         x, y = _projected(control, projection)
         return at_least(_extent(x, y) / tolerances.pixels, 1.0)
@@ -105,7 +105,7 @@ class EdgeLength(_WithSetting):
     name = "edge-length"
     setting: Number = 8.0
 
-    def kernel(self, control: Control, projection: Projection, tolerances: Tolerances) -> Any:
+    def kernel(self, control: Control, projection: Projection, tolerances: Tolerances) -> Array:
         """Pieces of an edge."""
         x, y = _projected(control, projection)
         edges = [(x[0], y[0]), (x[-1], y[-1]), (x[:, 0], y[:, 0]), (x[:, -1], y[:, -1])]
@@ -126,7 +126,7 @@ class ScreenBox(_WithSetting):
     name = "screen-box"
     setting: Number = 1.0
 
-    def kernel(self, control: Control, projection: Projection, tolerances: Tolerances) -> Any:
+    def kernel(self, control: Control, projection: Projection, tolerances: Tolerances) -> Array:
         """Pieces of the box."""
         if control.shape[2] == 4:  # a slefe of w x would depend on where the origin is
             at, low, high = rational_boxes(control, projection, _BOX_SEGMENTS, rows=2)
@@ -149,7 +149,7 @@ class Fixed(_WithSetting):
     name = "fixed"
     setting: Number = 16.0
 
-    def kernel(self, control: Control, projection: Projection, tolerances: Tolerances) -> Any:
+    def kernel(self, control: Control, projection: Projection, tolerances: Tolerances) -> Array:
         """The same everywhere."""
         return jnp.full(control.shape[-1], self.setting, control.dtype)
 

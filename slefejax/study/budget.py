@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, Unpack
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.core import Tracer
 
 from slefejax.arguments import Patches, is_whole
@@ -127,21 +128,21 @@ def moved(view: View, sphere: tuple[Any, Any], scale: Any) -> View:
     return replace(view, camera=Camera.look_at(eye, camera.target, camera.up, camera.extent, near, far))
 
 
-def real_triangles(patches: Any, view: View, **options: Unpack[Options]) -> Any:
+def real_triangles(patches: Patches, view: View, **options: Unpack[Options]) -> Array:
     """The sum of 2 tau^2 over the visible patches: triangles of uniform grids without rounding. Differentiable."""
     packed = pack(patches)
     check_view(view)
     return counted(Request.of(options, packed.dimension), packed, view)
 
 
-def counted(request: Request, patches: Any, view: View) -> Any:
+def counted(request: Request, patches: Patches, view: View) -> Array:
     """``real_triangles`` of what was checked."""
     factor = predicted(request, pack(patches), view).factor
     return 2.0 * jnp.sum(jnp.minimum(factor, _LEVEL) ** 2)
 
 
 def _checked(
-    patches: Any, view: Any, triangles: Any, options: Mapping[str, Any], edge_numbers: Any
+    patches: Patches, view: Any, triangles: Any, options: Mapping[str, Any], edge_numbers: Any
 ) -> tuple[Packed, Request, Any]:
     packed = pack(patches)
     check_view(view)
@@ -158,16 +159,16 @@ def _checked(
     return packed, request, check_edge_numbers(edges, len(packed))
 
 
-def _tolerance_root(patches: Any, view: View, wanted: int, request: Request) -> float:
-    def excess(log: Any, patches: Any) -> Any:
+def _tolerance_root(patches: Patches, view: View, wanted: int, request: Request) -> float:
+    def excess(log: Any, patches: Patches) -> Array:
         return jnp.log(counted(request.at(jnp.exp(log)), patches, view) / (wanted + 0.5))
 
     middle = float(np.log(0.5))
     return _root(excess, middle - _REACH, middle + _REACH, jnp.asarray(patches))
 
 
-def _distance_root(patches: Any, view: View, sphere: Any, wanted: int, request: Request) -> float:
-    def excess(log: Any, patches: Any) -> Any:
+def _distance_root(patches: Patches, view: View, sphere: Any, wanted: int, request: Request) -> float:
+    def excess(log: Any, patches: Patches) -> Array:
         seen = counted(request, patches, moved(view, sphere, jnp.exp(log)))
         return jnp.log(jnp.maximum(seen, 1e-3) / (wanted + 0.5))
 
@@ -184,14 +185,14 @@ def _distance_root(patches: Any, view: View, sphere: Any, wanted: int, request: 
     raise InputError(f"no place on the camera's line of sight meets {wanted:,} triangles, however far it moves {how}")
 
 
-def _root(excess: Callable[[Any, Any], Any], low: float, high: float, patches: Any) -> float:
+def _root(excess: Callable[[Any, Any], Any], low: float, high: float, patches: Patches) -> float:
     """Where the excess, which falls, changes its sign; the end that is nearer to that if it does not."""
     with one_at_a_time:
         import optimistix as optx  # slow to import
 
     solver = optx.Bisection(rtol=0.0, atol=1e-3, flip=True)
 
-    def alike(log: Any, patches: Any) -> Any:
+    def alike(log: Any, patches: Patches) -> Array:
         return excess(log, patches).astype(log.dtype)  # whatever precision the patches are in
 
     ends = {"lower": jnp.asarray(low), "upper": jnp.asarray(high)}

@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jaxtyping import Float, Int
 
 from slefejax.arguments import Patches, check_patches, is_whole
@@ -49,7 +50,7 @@ def side_turns(patches: Patches, given: Patches, places: int = _PLACES) -> Float
     return np.degrees(2.0 * np.arcsin(np.minimum(0.5 * np.sqrt(np.max(squares, axis=1)), 1.0)))
 
 
-def unfolded(patches: Patches, given: Patches, places: int = _PLACES) -> Any:
+def unfolded(patches: Patches, given: Patches, places: int = _PLACES) -> np.ndarray:
     """Which patches ``(patches,)`` have normals within 90 degrees of the given ones, at equal parameters inside.
 
     >>> flat = np.array([[[0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0]]], float)[None]
@@ -84,7 +85,7 @@ def edge_turns(patches: Patches, edge_numbers: Int[np.ndarray, "patches 4"]) -> 
     return np.array(turns, np.float64)
 
 
-def distance_squares(patches: Any, given: Any, places: int, steps: int) -> Any:
+def distance_squares(patches: Array | np.ndarray, given: Array | np.ndarray, places: int, steps: int) -> Array:
     """Squares of distances ``(patches, places^2)`` between points of patches and the nearest ones of those given.
 
     Differentiable; steps : towards the nearest point, from the same parameters
@@ -104,7 +105,7 @@ def distance_squares(patches: Any, given: Any, places: int, steps: int) -> Any:
     return square
 
 
-def turn_squares(patches: Any, given: Any, places: int) -> Any:
+def turn_squares(patches: Array | np.ndarray, given: Array | np.ndarray, places: int) -> Array:
     """(2 sin(a / 2))^2 for the angles a of ``side_turns``, ``(patches, 4 places)``, as differences of unit normals.
 
     0 where the given patch has no tangent plane, 4 where only the other one has none. Differentiable.
@@ -117,7 +118,7 @@ def turn_squares(patches: Any, given: Any, places: int) -> Any:
     return jnp.concatenate(found, axis=-1)
 
 
-def _unfolded(patches: Any, given: Any, places: int) -> Any:
+def _unfolded(patches: Array | np.ndarray, given: Array | np.ndarray, places: int) -> Array:
     t = (np.arange(places) + 0.5) / places
     u, v = (x.ravel() for x in np.meshgrid(t, t, indexing="ij"))
     (_, n), (_, m) = _points_and_normals(patches, u, v), _points_and_normals(given, u, v)
@@ -128,10 +129,10 @@ _unfolded_jit = partial(jax.jit, static_argnums=2)(_unfolded)
 
 
 @partial(jax.jit, static_argnums=(2, 3))
-def _largest_jit(patches: Any, given: Any, places: int, steps: int) -> Any:
+def _largest_jit(patches: Array | np.ndarray, given: Array | np.ndarray, places: int, steps: int) -> Array:
     """The largest square of a distance of each patch; few patches at a time, as there are many places."""
 
-    def of_one(both: tuple[Any, Any]) -> Any:
+    def of_one(both: tuple[Any, Any]) -> Array:
         one, other = both
         return jnp.max(distance_squares(one[None], other[None], places, steps))
 
@@ -141,7 +142,7 @@ def _largest_jit(patches: Any, given: Any, places: int, steps: int) -> Any:
 _turns_jit = partial(jax.jit, static_argnums=2)(turn_squares)
 
 
-def _alike(patches: Any, given: Any) -> tuple[Any, Any]:
+def _alike(patches: Patches, given: Patches) -> tuple[Any, Any]:
     patches, given = check_patches(patches, dims=(3,)), check_patches(given, dims=(3,))
     if patches.shape[0] != given.shape[0]:
         raise InputError(f"there are {patches.shape[0]} patches and {given.shape[0]} to compare them with")
@@ -157,7 +158,7 @@ def _sides(places: int) -> list[tuple[np.ndarray, np.ndarray]]:
     return [(zero, t), (t, zero), (one, t), (t, one)]
 
 
-def _points_and_normals(control: Any, u: Any, v: Any) -> tuple[Any, Any]:
+def _points_and_normals(control: Array | np.ndarray, u: Any, v: Any) -> tuple[Any, Any]:
     """Points and unit normals ``(3, patches, places)``; normals 0 where there is no tangent plane."""
     u, v = jnp.asarray(u, control.dtype), jnp.asarray(v, control.dtype)
     point, along_u, along_v = _derivatives(control, u, v)
@@ -175,7 +176,7 @@ def _turn(points: np.ndarray, normals: np.ndarray, one: tuple[int, int], other: 
     return float(np.degrees(angle.max()))
 
 
-def _step(given: Any, point: Any, u: Any, v: Any) -> tuple[Any, Any]:
+def _step(given: Array | np.ndarray, point: Array | np.ndarray, u: Any, v: Any) -> tuple[Any, Any]:
     """Gauss-Newton's step of the parameters towards the nearest point, along a side where it would leave the patch.
 
     0 where tangents are parallel.
@@ -196,7 +197,7 @@ def _step(given: Any, point: Any, u: Any, v: Any) -> tuple[Any, Any]:
     )
 
 
-def _derivatives(control: Any, u: Any, v: Any) -> tuple[Any, Any, Any]:
+def _derivatives(control: Array | np.ndarray, u: Any, v: Any) -> tuple[Any, Any, Any]:
     """Points and both first derivatives, each ``(3, patches, places)``."""
     ones = jnp.ones_like(u)
     point, along_u = jax.jvp(lambda t: _surface(control, t, v), (u,), (ones,))
@@ -204,6 +205,6 @@ def _derivatives(control: Any, u: Any, v: Any) -> tuple[Any, Any, Any]:
     return point, along_u, along_v
 
 
-def _surface(control: Any, u: Any, v: Any) -> Any:
+def _surface(control: Array | np.ndarray, u: Any, v: Any) -> Array:
     """Points ``(3, patches, places)``."""
     return evaluate_patch(jnp.moveaxis(control, 0, -1)[..., None], u, v)
