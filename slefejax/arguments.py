@@ -33,8 +33,8 @@ class HasArray(Protocol):
 Patches = (
     Array | np.ndarray | Sequence[Any] | HasArray
 )  # control points (patches, du+1, dv+1, 3), u before v; 4 at the end if rational
-Numbers = Array | np.ndarray | Sequence[Any] | float  # an array of numbers, of the shape that the docstring gives
-Number = Array | np.ndarray | np.floating | np.integer | float  # one number
+Numbers = Array | np.ndarray | Sequence[Any] | float | int  # an array of numbers, of the shape that the docstring gives
+Number = Array | np.ndarray | np.floating | np.integer | float | int  # one number
 Segments = int | tuple[int, ...]  # a whole number m >= 1, or a pair (m_u, m_v)
 _LISTED = 40  # names in a sentence
 

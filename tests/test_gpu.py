@@ -263,7 +263,7 @@ def test_levels_for_factors(spacing):
         assert np.abs(np.diff(levels[order])).max() < 0.05  # no jumps
 
 
-@pytest.mark.parametrize("spacing", SPACINGS[1:])
+@pytest.mark.parametrize("spacing", [SPACINGS[1], pytest.param(SPACINGS[2], marks=pytest.mark.slow)])
 def test_certified_factors_hold_for_fractional_grids(device, gpu, teapot, main_view, spacing):
     """Every patch by itself, at the lowest levels whose pieces are no wider than 1/factor; not so transition rings."""
     levels = levels_for(np.asarray(tessellation_factors(teapot.patches(), main_view).factor), spacing)

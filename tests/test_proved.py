@@ -61,7 +61,9 @@ def setting(seed: int) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("seed", [3, *(pytest.param(x, marks=pytest.mark.slow) for x in (0, 5))])
-@pytest.mark.parametrize(("verify", "anisotropic"), [(False, False), (True, False), (False, True)])
+@pytest.mark.parametrize(
+    ("verify", "anisotropic"), [(False, False), pytest.param(True, False, marks=pytest.mark.slow), (False, True)]
+)
 def test_saddles_just_below_64_beside_patches_beyond(seed, verify, anisotropic):
     assert worst(seed, "saddles", 0.05, tiles=1, verify=verify, anisotropic=anisotropic) <= 1.0
 
