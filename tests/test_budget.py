@@ -40,7 +40,7 @@ def test_a_tolerance_meets_the_budget(wanted, teapot, main_view):
     assert found.view is main_view
 
 
-@pytest.mark.parametrize("wanted", [300, 20_000])
+@pytest.mark.parametrize("wanted", [pytest.param(300, marks=pytest.mark.slow), 20_000])
 def test_a_distance_meets_the_budget(wanted, teapot, main_view, precision):
     found = distance_for_budget(teapot.patches(), main_view, wanted, **FAST)
     assert found.triangles <= wanted

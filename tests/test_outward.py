@@ -84,7 +84,7 @@ def test_splines(dtype, seed, degree, segments, intervals):
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
-@pytest.mark.parametrize("shape", [(2, 2), (4, 4), (3, 5)])
+@pytest.mark.parametrize("shape", [(2, 2), (4, 4), pytest.param((3, 5), marks=pytest.mark.slow)])
 def test_patches(dtype, shape):
     """Bilinear interpolants of the boxes hold all points, with sixty digits."""
     patches = np.stack([hard(seed, (*shape, 3), dtype) for seed in range(21)])

@@ -65,7 +65,7 @@ def test_session_of_another_precision_is_computed_anew(walker, view, tmp_path):
     np.testing.assert_allclose(np.load(tmp_path / "factors.npy"), wanted, rtol=1e-3)
 
 
-@pytest.mark.parametrize("again", AGAIN, ids=IDS)
+@pytest.mark.parametrize("again", [AGAIN[0], pytest.param(AGAIN[1], marks=pytest.mark.slow)], ids=IDS)
 def test_factors(teapot, main_view, again):
     first = tessellation_factors(teapot.patches(), main_view)
     before = again(first)  # what was not asked for yet is made there

@@ -58,6 +58,7 @@ def test_distances_that_are_known():
     assert surface_distance(flat * [1, 1, 0] + [0, 2.0, 0], flat)[0] == pytest.approx(2.0), "beyond a side"
 
 
+@pytest.mark.slow
 def test_turns_that_are_known():
     flat = patch_with(lambda x, y: 0 * x)
     slope = patch_with(lambda x, y: np.tan(np.radians(10.0)) * x)

@@ -96,7 +96,7 @@ def test_published_figures_of_the_teapot(teapot, main_view):
         assert error.max() == pytest.approx(largest, abs=0.006)
 
 
-@pytest.mark.parametrize("levels", [(2, 3), *(pytest.param(x, marks=pytest.mark.slow) for x in ((1, 1), (4, 4)))])
+@pytest.mark.parametrize("levels", [(1, 1), *(pytest.param(x, marks=pytest.mark.slow) for x in ((2, 3), (4, 4)))])
 def test_against_dense_loops(levels, rng):
     """Within 1 %, from below but for what the loops themselves miss; perspective, the screen's edge, rational."""
     view = View(Camera.look_at((0, -5, 1), (0, 0, 0)), 300, 200)

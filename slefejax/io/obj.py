@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from slefejax.model.mesh import Mesh
 
 _IRRELEVANT = {"vt", "vn", "s", "usemtl", "mtllib", "usemap", "maplib", "shadow_obj", "trace_obj", "lod", "bevel"}
 _IRRELEVANT |= {"c_interp", "d_interp", "mg"}
+_DIGITS = 10  # of a number that is none any more
 
 
 def _whole() -> array:
@@ -104,7 +106,14 @@ class _Reader:
     def vertex(self, items: list[str]) -> None:
         if len(items) < 3:
             raise self.fail(f"a vertex needs three coordinates, not {len(items)}: is the file complete?")
-        self.coordinates.extend([self.real(item, "a coordinate") for item in items[:3]])
+        try:
+            x, y, z = map(float, items[:3])
+        except ValueError:
+            x = y = z = np.nan
+        if not isfinite(x + y + z) or "_" in items[0] + items[1] + items[2]:
+            # one by one, to tell which of them is none
+            x, y, z = (self.real(item, "a coordinate") for item in items[:3])
+        self.coordinates.extend((x, y, z))
 
     def polygon(self, items: list[str]) -> None:
         self.count += 1
@@ -114,7 +123,7 @@ class _Reader:
                 self.named |= owner.names
         if not (self.groups.wanted or self.object.wanted):
             return
-        self.corners.extend([self.index(item) for item in items])
+        self.corners.extend(plain_indices(items) or [self.index(item) for item in items])
         self.sizes.append(len(items))
         self.lines.append(self.line)
         self.numbers.append(self.count - 1)
@@ -156,6 +165,20 @@ class _Reader:
         else:
             self.points.extend(vertices)
             self.point_sharpness.extend(each)
+
+
+def plain_indices(items: list[str]) -> list[int] | None:
+    """Numbers of vertices from 0 on where all are counted from the first, as nearly all are; else None.
+
+    >>> plain_indices(["3/1/1", "12", "7//2"]), plain_indices(["3", "-1"]), plain_indices(["0"])
+    ([2, 11, 6], None, None)
+    """
+    heads = [item.partition("/")[0] for item in items]
+    together = "".join(heads)
+    if not (together.isascii() and together.isdigit() and 0 < min(map(len, heads)) <= max(map(len, heads)) < _DIGITS):
+        return None
+    numbers = [int(head) - 1 for head in heads]
+    return numbers if min(numbers) >= 0 else None
 
 
 def read_obj(path: Path, group: Any = None) -> Content:
