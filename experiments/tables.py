@@ -7,6 +7,8 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from slefejax.late import one_at_a_time
 
 Row = dict[str, Any]
@@ -40,7 +42,7 @@ def write_parquet(path: Path, rows: list[Row]) -> None:
         return
     columns = {}
     for name in rows[0]:
-        values = _alike([row[name] for row in rows])
+        values = _alike([row.get(name) for row in rows])
         for own in dict.fromkeys((name, name.replace(".", ""))):
             columns[own] = values
     parquet.write_table(pyarrow.table(columns), path)
@@ -48,6 +50,7 @@ def write_parquet(path: Path, rows: list[Row]) -> None:
 
 def _alike(values: list[Any]) -> list[Any]:
     """Of one type: whole numbers, numbers, yes or no, or text; None for a number that is none."""
+    values = [value.item() if isinstance(value, np.generic) else value for value in values]
     values = [None if isinstance(value, float) and math.isnan(value) else value for value in values]
     kinds = {type(value) for value in values if value is not None}
     if kinds <= {bool} or kinds <= {int} or kinds <= {str}:

@@ -11,7 +11,8 @@ import pytest
 
 from slefejax.experiments.store import Run
 from slefejax.experiments.studies.measures import Measure, measure, pixels_or_none
-from slefejax.experiments.studies.study import Case, Study, shown, taking_turns
+from slefejax.experiments.studies.study import Case, Study, shown
+from slefejax.experiments.studies.times import taking_turns
 from slefejax.experiments.tables import write_tables
 
 SQUARE = Measure(("square", "_all"), lambda look: {"square": look**2, "_all": list(range(look))})
@@ -87,7 +88,7 @@ ROWS = [
 
 def test_a_table_as_parquet(tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
-    write_tables(tmp_path, "table", ROWS)
+    write_tables(tmp_path, "table", [ROWS[0] | {"count": np.int64(3)}, ROWS[1]])
     table = parquet.read_table(tmp_path / "table.parquet")
     assert table.column_names == ["scene", "share_above_0.5", "share_above_05", "count", "segments", "fine"]
     assert table["share_above_0.5"].to_pylist() == table["share_above_05"].to_pylist() == [0.25, None]

@@ -16,11 +16,12 @@ from slefejax.experiments.options import LoadOptions, OutputOptions, PredictionO
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.experiments.studies.camera_path import ViewPath, camera_path
-from slefejax.experiments.studies.frames import Frames, Levels, change_of_levels, frame_levels, moves_of_pixels, timed
+from slefejax.experiments.studies.frames import Frames, Levels, change_of_levels, frame_levels, moves_of_pixels
 from slefejax.experiments.studies.look import Look
 from slefejax.experiments.studies.measures import Measure, measure, pixels_or_none, size
 from slefejax.experiments.studies.modes import COLUMNS, MODES, mode_row
 from slefejax.experiments.studies.study import Case, Study
+from slefejax.experiments.studies.times import milliseconds
 from slefejax.experiments.tables import write_csv
 from slefejax.figures.error_image import write_error_image
 from slefejax.figures.studies.animate import write_film, write_timeline, write_work
@@ -178,7 +179,7 @@ class _Film:
         """Predict, draw, and see what would have moved had the levels stayed those of the frame before."""
         before = self.levels(frame - 1) if frame else None
         own, view = self.levels(frame), self.views[frame]
-        hand_over_ms = own.milliseconds["hand_over_ms"] + timed(lambda: self._renderer.move(own.patches))
+        hand_over_ms = own.milliseconds["hand_over_ms"] + milliseconds(lambda: self._renderer.move(own.patches))
         spacing = self.options.spacing
         found = _Frame(own.patches, view, self._renderer, own.inner, own.outer, spacing, own=own)
         found.spent = {**own.milliseconds, "hand_over_ms": hand_over_ms, "render_ms": found.render_ms}

@@ -24,7 +24,8 @@ from slefejax.experiments.report import Report
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.experiments.studies.look import Look, Shown
 from slefejax.experiments.studies.measures import Measure, domain, measure, minimal, size, slips
-from slefejax.experiments.studies.study import Case, Study, shown, taking_turns
+from slefejax.experiments.studies.study import Case, Study, shown
+from slefejax.experiments.studies.times import taking_turns
 from slefejax.figures.error_image import write_error_image
 from slefejax.figures.studies.certify import write_certify_figure
 from slefejax.gpu import open_device

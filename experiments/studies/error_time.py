@@ -39,7 +39,8 @@ from slefejax.experiments.studies.measures import (
     rings,
     size,
 )
-from slefejax.experiments.studies.study import Case, Study, milliseconds, taking_turns
+from slefejax.experiments.studies.study import Case, Study
+from slefejax.experiments.studies.times import milliseconds, taking_turns
 from slefejax.figures.error_image import write_error_image
 from slefejax.figures.studies.error_time import (
     write_error_against_time,

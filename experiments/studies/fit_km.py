@@ -28,7 +28,8 @@ from slefejax.experiments.options import (
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.experiments.studies.measures import Measure
-from slefejax.experiments.studies.study import Case, Study, taking_turns
+from slefejax.experiments.studies.study import Case, Study
+from slefejax.experiments.studies.times import taking_turns
 from slefejax.figures.studies.fit_km import write_fit_km
 from slefejax.study.curves import curve_constant, curve_ratios
 from slefejax.study.fitting import ESTIMATORS, TEMPERATURE, Fit, bootstrap_km, cross_validated, fit_km, held_out

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +12,7 @@ from jaxtyping import Float, Real
 from slefejax import Scene, Session, View
 from slefejax.errors import InputError
 from slefejax.experiments.store import Row
+from slefejax.experiments.studies.times import milliseconds
 from slefejax.gpu import GBuffer
 from slefejax.measure.error import surface_on_screen
 from slefejax.session import PARTS
@@ -110,7 +110,7 @@ def frame_levels(session: Session, view: View, pose: Any, spacing: str) -> Level
     factors = session.factors(view, pose)
     names = zip(("skinning_ms", "boxes_ms", "view_ms"), PARTS, strict=True)
     spent = {name: 1e3 * session.seconds[part] for name, part in names}
-    hand_over_ms = timed(lambda: session.patches)
+    hand_over_ms = milliseconds(lambda: session.patches)
     factor = np.asarray(factors.factor, np.float64)
     start = time.perf_counter()
     if spacing == "equal":
@@ -120,13 +120,6 @@ def frame_levels(session: Session, view: View, pose: Any, spacing: str) -> Level
         inner, outer = np.repeat(own[:, None], 2, axis=1), edge_maxima(own, factors.edge_numbers)
     spent |= {"levels_ms": 1e3 * (time.perf_counter() - start), "hand_over_ms": hand_over_ms}
     return Levels(session.patches, factor, inner, outer, spent)
-
-
-def timed(work: Callable[[], Any]) -> float:
-    """Milliseconds that it takes."""
-    start = time.perf_counter()
-    work()
-    return 1e3 * (time.perf_counter() - start)
 
 
 def change_of_levels(before: Levels, after: Levels) -> Row:

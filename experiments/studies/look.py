@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from slefejax import Factors, Scene, View, minimal_factors, sampled_error, triangle_error
+from slefejax.experiments.studies.times import milliseconds
 from slefejax.gpu import GBuffer, Renderer, Triangles
 from slefejax.measure.error import drawn_error
 from slefejax.tessellator.levels import HIGHEST_LEVEL, pieces
@@ -85,9 +85,7 @@ class Look:
     def render_ms(self) -> float:
         """How long the tessellator takes to draw; what it drew is ``seen``."""
         self.renderer.submit(self.view, self.inner, self.outer)  # once unmeasured: the driver may compile
-        start = time.perf_counter()
-        self.renderer.submit(self.view, self.inner, self.outer)
-        found = 1e3 * (time.perf_counter() - start)
+        found = milliseconds(lambda: self.renderer.submit(self.view, self.inner, self.outer))
         self.__dict__.setdefault("seen", self.renderer.read(self.view))
         return found
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from slefejax import Session, View
 from slefejax.experiments.store import Row
-from slefejax.experiments.studies.frames import Frames, frame_levels, timed
+from slefejax.experiments.studies.frames import Frames, frame_levels
+from slefejax.experiments.studies.times import milliseconds
 from slefejax.gpu import Renderer
 
 POSES_A_SECOND = 33.0  # of [YBP14], section 5
@@ -55,9 +56,9 @@ class _Player:
         )
         spent = dict(levels.milliseconds)
         if levels.patches is not self.held:
-            spent["hand_over_ms"] += timed(lambda: self.renderer.move(levels.patches))
+            spent["hand_over_ms"] += milliseconds(lambda: self.renderer.move(levels.patches))
             self.held = levels.patches
-        spent["render_ms"] = timed(lambda: self.renderer.submit(view, levels.inner, levels.outer))
+        spent["render_ms"] = milliseconds(lambda: self.renderer.submit(view, levels.inner, levels.outer))
         return spent
 
 

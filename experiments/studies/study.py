@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
-
-import numpy as np
 
 from slefejax.experiments.report import progress
 from slefejax.experiments.store import Row, Run
@@ -71,19 +68,3 @@ class Study:
 def shown(rows: Sequence[Row]) -> list[Row]:
     """The table: without what is kept in rows and no column of it."""
     return [{name: value for name, value in row.items() if not name.startswith("_")} for row in rows]
-
-
-def taking_turns(calls: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, tuple[float, float]]:
-    """Median and spread, in milliseconds, of the times of calls that take turns: what slows a machine slows all."""
-    times: dict[str, list[float]] = {name: [] for name in calls}
-    for _ in range(repeats):
-        for name, call in calls.items():
-            times[name].append(milliseconds(call))
-    return {name: (float(np.median(own)), float(np.ptp(own))) for name, own in times.items()}
-
-
-def milliseconds(work: Callable[[], object]) -> float:
-    """How long it takes."""
-    start = time.perf_counter()
-    work()
-    return 1e3 * (time.perf_counter() - start)

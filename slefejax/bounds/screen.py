@@ -46,7 +46,8 @@ def visible_widths(
     """
     lower, upper = boxes
     inside = inside_of_tiles(lower, upper, projection.frustum)
-    if lower.shape[2] == 4 and control is not None:
+    if lower.shape[2] == 4:
+        assert control is not None
         width, depth = rational_widths(control, projection, segments, with_depth, maxima)
     else:
         width, depth = projected_widths(lower, upper, projection, with_depth, maxima)

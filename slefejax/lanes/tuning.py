@@ -22,7 +22,6 @@ class Tuning:
     unrolled_boxes        : of slefes, one array each
     unrolled_entries      : of a slefe's table, one number each
     unrolled_sums         : numbers of a control net whose sizes are added one by one
-    unrolled_weights      : of a stencil
     many_nets             : from so many on unrolled code, which takes three times as long to compile, is worth it
     compiler_options      : by the backend's name. CPUs with registers of 512 bits are told to use them: up to a fifth
                             faster than what the compiler prefers. What loops over the tiles of a chunk could have in
@@ -43,7 +42,6 @@ class Tuning:
     unrolled_boxes: int = 25
     unrolled_entries: int = 32
     unrolled_sums: int = 128
-    unrolled_weights: int = 32
     many_nets: int = 30_000
     compiler_options: dict[str, dict[str, Any]] = field(
         default_factory=lambda: {
