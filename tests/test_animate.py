@@ -84,7 +84,7 @@ def test_rows_are_those_of_the_pose(device, capsys, walker):
 
 
 @pytest.mark.gl
-@pytest.mark.parametrize("spacing", ["fractional-even", "fractional-odd"])
+@pytest.mark.parametrize("spacing", [pytest.param("fractional-even", marks=pytest.mark.slow), "fractional-odd"])
 def test_spacing(device, capsys, spacing):
     result = run_json(
         capsys, "animate", "walker", *SMALL[:2], "--frames", "4:6:1", "--seconds", "0", *FAST, "--spacing", spacing

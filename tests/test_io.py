@@ -110,6 +110,28 @@ def test_obj_faces_of_fewer_than_three_vertices(tmp_path, small):
         load(only, drop_defects=True)
 
 
+def test_runs_of_plain_lines_are_read_as_single_ones(tmp_path, rng):
+    """Lone CR and comments behind statements make lines that are no plain ones; what is wrong is told by its line."""
+    lines = [f"v {x:.3f} {y:g} -.{k}e-1" for k, (x, y) in enumerate(rng.normal(size=(60, 2)))]
+    lines += [f"vt 0.{k} 1" for k in range(20)]
+    for k, at in enumerate(rng.integers(1, 58, size=5000)):
+        lines += [f"g part{k % 7}"] * (k % 100 == 0)
+        lines += [f"f {at}/1/2 {at + 1}//3 {at + 2}" + f" {at + 3}/4" * (k % 2)]
+    for group in (None, "part3"):
+        found = []
+        for end in ("\n", "\r\n", "\r", " # alone\n"):
+            mesh = read_obj(write(tmp_path, "grid.obj", end.join([*lines, ""])), group).mesh
+            assert mesh is not None
+            found.append((mesh.vertices, mesh.corners, mesh.sizes, mesh.numbers))
+        for parts in found[1:]:
+            assert all(np.array_equal(one, two) for one, two in zip(found[0], parts, strict=True))
+        assert len(found[0][2]) == (5000 if group is None else 700)
+    for place in (70, 3000, 5100):
+        path = write(tmp_path, "wrong.obj", "\n".join([*lines[:place], "f 1 2 x", *lines[place:]]))
+        with pytest.raises(InputError, match=rf"wrong\.obj, line {place + 1}: a face should name vertices"):
+            read_obj(path)
+
+
 def test_obj_groups(tmp_path):
     path = write(tmp_path, "a.obj", OBJ)
     assert faces(polygons(read_obj(path, "first"))) == [[0, 1, 2, 3]]

@@ -83,7 +83,7 @@ def test_a_name_and_a_value_are_the_same(name, teapot, main_view):
 @pytest.mark.parametrize(
     ("value", "knobs"),
     [
-        (methods.Certified(tiles=1), {"tiles": 1}),
+        pytest.param(methods.Certified(tiles=1), {"tiles": 1}, marks=pytest.mark.slow),
         (methods.Slefe((2, 4), 0.8), {"segments": (2, 4), "k": 0.8}),
         (methods.EdgeLength(12.0), {"setting": 12.0}),
     ],

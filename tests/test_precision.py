@@ -26,7 +26,7 @@ def bent(offset: np.ndarray) -> tuple[np.ndarray, View]:
 
 
 @pytest.mark.parametrize(
-    "method", ["slefe", *(pytest.param(x, marks=pytest.mark.slow) for x in ("certified", "filip", "screen-box"))]
+    "method", ["filip", *(pytest.param(x, marks=pytest.mark.slow) for x in ("certified", "slefe", "screen-box"))]
 )
 def test_double_patches_far_away_while_jax_is_single(method):
     """The origin is taken off before anything is rounded to float32: the same factor as in double precision."""

@@ -92,17 +92,17 @@ def _mean(path: Path, name: str, numbers: Any, vertices: np.ndarray) -> np.ndarr
 
 
 def _influences(path: Path, skeleton: Skeleton, count: int) -> Influences:
-    (weights,) = _json(path, "weights")
+    (by_bone,) = _json(path, "weights")
     number = {name: k for k, name in enumerate(skeleton.names)}
     vertex, bone, weight = array("q"), array("q"), array("d")
-    for name, pairs in weights.items():
+    for name, pairs in by_bone.items():
         if name not in number:
             raise InputError(f"{path} has weights for bone {name!r}, which the skeleton does not have")
         try:
-            for v, w in pairs:
-                vertex.append(v)
-                weight.append(float(w))
-                bone.append(number[name])
+            vertices, weights = zip(*pairs, strict=True) if pairs != [] else ((), ())
+            vertex.extend(vertices)
+            weight.extend(map(float, weights))
+            bone.extend([number[name]] * len(vertices))
         except (TypeError, ValueError, OverflowError):
             what = f"{path}: weights should be pairs of a vertex and a number, a list of them a bone"
             raise InputError(what) from None

@@ -7,12 +7,11 @@ coordinates, normals and materials do not matter here. Other statements are left
 
 from __future__ import annotations
 
+import re
 from array import array
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +21,19 @@ from slefejax.arguments import no_such
 from slefejax.errors import InputError, naming
 from slefejax.io.content import Y_UP, Content, read_bytes
 from slefejax.io.limits import LARGEST_TEXT
-from slefejax.io.numbers import lines_of, parse_real, parse_whole, words_before
+from slefejax.io.numbers import parse_real, parse_whole, words_before
 from slefejax.model.mesh import Mesh
 
 _IRRELEVANT = {"vt", "vn", "s", "usemtl", "mtllib", "usemap", "maplib", "shadow_obj", "trace_obj", "lod", "bevel"}
 _IRRELEVANT |= {"c_interp", "d_interp", "mg"}
 _DIGITS = 10  # of a number that is none any more
+_LINE = re.compile(r"[^\r\n]*+(?:\r\n|\r|\n)?")
+_RUN = r"(?:%s[ \t]*+\r?\n){1,4096}+"  # lines that are held at once
+_FINITE = r"[-+]?+(?:[0-9]{1,40}+(?:\.[0-9]*+)?+|\.[0-9]++)(?:[eE][-+]?+[0-9]{1,2}+)?+"
+_PLAIN_VERTICES = re.compile(_RUN % rf"v(?:[ \t]++{_FINITE}){{3}}")
+_PLAIN_FACES = re.compile(_RUN % r"f(?:[ \t]++[1-9][0-9]{0,8}+(?:/[0-9]*+){0,2}+)++")
+_PLAIN_OTHERS = re.compile(_RUN % r"v[tn][ \t][^\r\n\\]*+")
+_HEADS = re.compile(r"[ \t]([0-9]++)")
 
 
 def _whole() -> array:
@@ -106,24 +112,44 @@ class _Reader:
     def vertex(self, items: list[str]) -> None:
         if len(items) < 3:
             raise self.fail(f"a vertex needs three coordinates, not {len(items)}: is the file complete?")
-        try:
-            x, y, z = map(float, items[:3])
-        except ValueError:
-            x = y = z = np.nan
-        if not isfinite(x + y + z) or "_" in items[0] + items[1] + items[2]:
-            # one by one, to tell which of them is none
-            x, y, z = (self.real(item, "a coordinate") for item in items[:3])
-        self.coordinates.extend((x, y, z))
+        self.coordinates.extend([self.real(item, "a coordinate") for item in items[:3]])
 
-    def polygon(self, items: list[str]) -> None:
-        self.count += 1
+    def vertices(self, run: str) -> None:
+        """Lines of three numbers each."""
+        words = run.split()
+        found = np.array([words[1::4], words[2::4], words[3::4]], np.float64)
+        self.coordinates.frombytes(found.T.tobytes())
+        self.line += found.shape[1]
+
+    def polygons(self, run: str) -> None:
+        """Lines of corners that are counted from the first vertex."""
+        sizes = [len(line.split()) - 1 for line in run.splitlines()]
+        first, count = self.count, len(sizes)
+        self.count += count
+        if self.wants_faces():
+            self.corners.extend([int(head) - 1 for head in _HEADS.findall(run)])
+            self.sizes.extend(sizes)
+            self.lines.extend(range(self.line + 1, self.line + 1 + count))
+            self.numbers.extend(range(first, first + count))
+        self.line += count
+
+    def skip(self, run: str) -> None:
+        """Lines of texture coordinates or normals."""
+        self.line += run.count("\n")
+
+    def wants_faces(self) -> bool:
+        """Whether faces of the present groups and object are read; these are groups with faces then."""
         for owner in (self.groups, self.object):
             if not owner.used:
                 owner.used = True
                 self.named |= owner.names
-        if not (self.groups.wanted or self.object.wanted):
+        return self.groups.wanted or self.object.wanted
+
+    def polygon(self, items: list[str]) -> None:
+        self.count += 1
+        if not self.wants_faces():
             return
-        self.corners.extend(plain_indices(items) or [self.index(item) for item in items])
+        self.corners.extend(self.index(item) for item in items)
         self.sizes.append(len(items))
         self.lines.append(self.line)
         self.numbers.append(self.count - 1)
@@ -167,20 +193,6 @@ class _Reader:
             self.point_sharpness.extend(each)
 
 
-def plain_indices(items: list[str]) -> list[int] | None:
-    """Numbers of vertices from 0 on where all are counted from the first, as nearly all are; else None.
-
-    >>> plain_indices(["3/1/1", "12", "7//2"]), plain_indices(["3", "-1"]), plain_indices(["0"])
-    ([2, 11, 6], None, None)
-    """
-    heads = [item.partition("/")[0] for item in items]
-    together = "".join(heads)
-    if not (together.isascii() and together.isdigit() and 0 < min(map(len, heads)) <= max(map(len, heads)) < _DIGITS):
-        return None
-    numbers = [int(head) - 1 for head in heads]
-    return numbers if min(numbers) >= 0 else None
-
-
 def read_obj(path: Path, group: Any = None) -> Content:
     """The control mesh of a file. Vertices keep their numbers, used or not.
 
@@ -196,8 +208,7 @@ def read_obj(path: Path, group: Any = None) -> Content:
         raise InputError(f"group must be a name or a tuple of names, not {group!r}")
     wanted = None if names is None else frozenset(names)
     reader = _Reader(path, wanted)
-    for reader.line, words in _statements(data):
-        reader.take(words)
+    _take_all(reader, data.decode("utf-8-sig", "replace"))
     if wanted is not None and (missing := sorted(wanted - reader.named)):
         raise InputError(f"{path}: {no_such('group with faces', missing[0], sorted(reader.named - {''}))}")
     if not reader.sizes:
@@ -205,21 +216,36 @@ def read_obj(path: Path, group: Any = None) -> Content:
     return Content(mesh=_mesh(reader), up=Y_UP, notes=_notes(reader))
 
 
-def _statements(data: bytes) -> Iterator[tuple[int, list[str]]]:
-    """(line, words) of every statement, comments left out, continued lines joined."""
+def _take_all(reader: _Reader, text: str) -> None:
+    """Statement by statement, but for runs of plain lines of one kind, which are taken at once."""
+    runs = (_PLAIN_VERTICES, reader.vertices), (_PLAIN_FACES, reader.polygons), (_PLAIN_OTHERS, reader.skip)
+    place = 0
+    while place < len(text):
+        for run, take in runs:
+            found = run.match(text, place)
+            if found:
+                take(found[0])
+                place = found.end()
+                break
+        else:
+            words, place = _statement(reader, text, place)
+            if words:
+                reader.take(words)
+
+
+def _statement(reader: _Reader, text: str, place: int) -> tuple[list[str], int]:
+    """The words of a statement, comments left out, continued lines joined, and where the next one begins."""
     words: list[str] = []
-    number = 0
-    for number, line in enumerate(lines_of(data), 1):
-        found = list(words_before(line, "#"))
-        goes_on = bool(found) and found[-1].endswith("\\")
-        if goes_on:
-            found[-1:] = found[-1][:-1].split()
-        words += found
-        if words and not goes_on:
-            yield number, words
-            words = []
-    if words:
-        yield number, words
+    while place < len(text):
+        line = _LINE.match(text, place)
+        assert line is not None
+        place = line.end()
+        reader.line += 1
+        found = list(words_before(line[0], "#"))
+        if not found or not found[-1].endswith("\\"):
+            return words + found, place
+        words += [*found[:-1], *found[-1][:-1].split()]
+    return words, place
 
 
 def _mesh(reader: _Reader) -> Mesh:

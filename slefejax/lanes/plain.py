@@ -30,9 +30,14 @@ def plain(*data: str) -> Callable[[type[T]], type[T]]:
     def register(cls: type[T]) -> type[T]:
         static = tuple(own.name for own in fields(cls) if own.name not in data)  # type: ignore[arg-type]
 
-        def flatten(value: T) -> tuple[list[tuple[Any, Any]], tuple[Any, ...]]:
-            children = [(jax.tree_util.GetAttrKey(name), getattr(value, name)) for name in data]
-            return children, tuple(getattr(value, name) for name in static)
+        def kept_of(value: T) -> tuple[Any, ...]:
+            return tuple([getattr(value, name) for name in static])
+
+        def flatten(value: T) -> tuple[list[Any], tuple[Any, ...]]:
+            return [getattr(value, name) for name in data], kept_of(value)
+
+        def with_keys(value: T) -> tuple[list[tuple[Any, Any]], tuple[Any, ...]]:
+            return [(jax.tree_util.GetAttrKey(name), getattr(value, name)) for name in data], kept_of(value)
 
         def unflatten(kept: tuple[Any, ...], children: Iterable[Any]) -> T:
             value = object.__new__(cls)
@@ -40,7 +45,7 @@ def plain(*data: str) -> Callable[[type[T]], type[T]]:
                 object.__setattr__(value, name, own)
             return value
 
-        jax.tree_util.register_pytree_with_keys(cls, flatten, unflatten)
+        jax.tree_util.register_pytree_with_keys(cls, with_keys, unflatten, flatten)  # keys cost time in every call
         return cls
 
     return register
