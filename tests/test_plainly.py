@@ -53,7 +53,7 @@ def test_certified_kernels_do_not_grow(tiles, depth, wanted, main_view):
     """Of bicubic patches, unrolled: more of them would be slower everywhere, and nothing else would show it."""
     kernel = partial(certified_factor, tiles=tiles)
     found = operations(kernel, np.zeros((4, 4, 3, 64)), Projection.of(main_view), (0.5, depth))
-    assert found == pytest.approx(wanted, rel=0.01)
+    assert 0.97 * wanted <= found <= 1.01 * wanted, "JAX 0.12 counts 1.7 % fewer"
 
 
 def test_slefe_kernels_do_not_grow():
