@@ -178,6 +178,8 @@ class PredictionOptions:
     """Of certified: levels that differ along u and v, where that saves triangles."""
     verify: bool = False
     """Of certified: smaller numbers are proved cell by cell, which is slower and tighter."""
+    levels: Literal["fast", "fewest"] | None = None
+    """Of certified: how levels are found that can be drawn; fewest takes longer. fast if not given."""
     segments: int | None = None
     """Of slefe: pieces m in each direction; 3 if not given."""
     tolerance: float = 0.5
@@ -195,6 +197,7 @@ class PredictionOptions:
         """The method with its numbers. Raises InputError for those that it does not have."""
         own = {"tiles": self.tiles, "segments": self.segments, "k": self.k, "setting": self.setting}
         own |= {"smooth": self.smooth, "anisotropic": self.anisotropic or None, "verify": self.verify or None}
+        own |= {"levels": self.levels}
         with own_modules(self.method):
             return method_of(self.method, own)
 

@@ -48,7 +48,7 @@ HEADINGS = {
     "quantile_unsafe_share": "quantile",
     "quantile_triangles": "its triangles",
     "factor_over_minimal_p95": "95 %",
-    "triangles_over_minimal": "triangles",
+    "triangles_over_minimal": "/ minimal",
     "twist_coefficient": "twist",
     "below_analytic_share": "below",
     "factor_over_minimal_median": "over minimal",

@@ -18,7 +18,15 @@ from tests.tables import TABLES
 SMALL = ["--size", "180x120"]
 COLUMNS = {
     *("scale", "method", "segments", "patches", "triangles", "covered_pixels", "share_above_0.1", "share_above_0.5"),
-    *("share_above_1", "max_error_px", "slipped_pixels", "max_slip_px", "predict_ms", "render_ms"),
+    *(
+        "share_above_1",
+        "max_error_px",
+        "slipped_pixels",
+        "max_slip_px",
+        "predict_ms",
+        "render_ms",
+        "triangles_over_minimal",
+    ),
 }
 
 
@@ -219,7 +227,7 @@ def test_factors_lists_every_patch(capsys):
     assert len(result["rows"]) == 32
     assert result["sum_of_factors"] == pytest.approx(560.857, abs=1e-3)
     assert sum(row["triangles"] for row in result["rows"]) == result["triangles"]
-    assert result["rows"][5]["inner_u"] == np.ceil(result["rows"][5]["factor"])
+    assert 0 < result["rows"][5]["inner_u"] <= np.ceil(result["rows"][5]["factor"])
 
 
 def test_camera_options_are_heard(capsys):

@@ -7,8 +7,8 @@ import pytest
 
 from slefejax import Camera, InputError, View, sampled_error, tessellation_factors
 from slefejax.geometry.projection import Projection
+from slefejax.predict.cells import Pictured, Pictures, grid_errors
 from slefejax.predict.certificate import Certificate
-from slefejax.predict.verified import Pictured, drawn_grids_hold, grids_hold
 from slefejax.tessellator.rings import direct3d11
 
 PATTERN = direct3d11()
@@ -107,7 +107,9 @@ def test_all_smaller_boxes_hold(rng):
     a, b, c = rng.normal(size=(3, 300)) * 400
     view = flat_on(4000.0)
     projection = Projection.of(view)
-    certificate = Certificate(projection.relative(quadratics(a, b, c), axis=-1), projection, (0.5, None), 1, PATTERN)
+    near = projection.relative(quadratics(a, b, c), axis=-1)
+    given = lambda: (near, projection)  # noqa: E731
+    certificate = Certificate(given, (0.5, None), 1, PATTERN, np.ones(300), Pictures(None, 300))  # type: ignore
     levels = certificate.for_all_boxes(np.arange(300), np.ones((300, 2), int))
     for more in rng.integers(0, 30, (20, 2)):
         assert exact_errors(a, b, c, np.minimum(levels + more, 64)).max() <= 0.5
@@ -118,11 +120,12 @@ def test_proofs_look_at_the_lines_that_are_drawn():
     level = 61
     a = 4 * 0.985 * (1 / PATTERN.cell[level]) ** 2
     view = flat_on(8000.0)
-    nets = Pictured.of(quadratics([a, a * 1.03], 0.0, 0.0), Projection.of(view), (0.5, None))
+    patches = quadratics([a, a * 1.03], 0.0, 0.0)
+    nets = Pictures(lambda which: Pictured.of(patches[which], Projection.of(view), (0.5, None)), 2)
     patch, levels = np.arange(2), np.full((2, 2), level)
-    assert grids_hold(nets, patch, levels).tolist() == [True, True]
-    assert grids_hold(nets, patch, levels, PATTERN.points).tolist() == [True, False]
-    assert drawn_grids_hold(nets, PATTERN, patch, levels).tolist() == [True, False]
+    even = np.minimum(np.arange(65) / np.maximum(np.arange(65), 1)[:, None], 1.0)
+    assert (grid_errors(nets, patch, levels, even) <= 1).tolist() == [True, True]
+    assert (grid_errors(nets, patch, levels, PATTERN.points) <= 1).tolist() == [True, False]
 
 
 def test_single_precision_proofs_far_from_the_origin(rng):

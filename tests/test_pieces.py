@@ -29,7 +29,7 @@ from slefejax.tessellator.levels import (
     pieces_along,
     triangle_counts,
 )
-from slefejax.tessellator.rings import direct3d11, safe_levels
+from slefejax.tessellator.rings import Pattern, direct3d11, ringed_sides, with_better_rings
 from tests.test_gpu import above, lattice, open_edges
 
 CORNER = (3.3, 0.0, 2.4)  # of the teapot's rim: four patches meet
@@ -124,14 +124,26 @@ def test_counts_of_what_are_no_levels():
         triangle_counts(*right, spacing="even")
 
 
+def raised(inner: np.ndarray, numbers: np.ndarray, pattern: Pattern, longest: np.ndarray):
+    """Levels for which no ring's triangle is longer than that."""
+    inner, edges = with_pieces(inner, edge_maxima(inner[:, 0], numbers), numbers)
+    patch, side = np.nonzero(edges)
+    while True:
+        ringed, n, m, along = ringed_sides(inner, edges, patch, side)
+        long = ringed & (n != m) & (pattern.reach[n, m] / along > longest[patch, side])
+        if not long.any():
+            return inner, edges
+        inner, edges = with_better_rings(inner, edges, numbers, patch[long], side[long], pattern)
+
+
 def test_rings_of_pieces(rng):
-    """Safe levels past 64: on every side of every piece the pattern's ring is short enough, or part of the grid."""
+    """Levels raised past 64: on every side of every piece the pattern's ring is short enough, or part of the grid."""
     numbers, pattern = strip(3), direct3d11()
     for _ in range(40):
         inner = np.repeat(rng.integers(1, 400, (9, 1)), 2, axis=1)
         cells = 1.0 / inner.min(axis=1)
         longest = 1.5 * cells[:, None] * rng.uniform(0.7, 2.0, (9, 4))
-        own, edges = safe_levels(inner, numbers, pattern, lambda patch, side, _, known=longest: known[patch, side])
+        own, edges = raised(inner, numbers, pattern, longest)
         parts = Pieces.of(own, edges)
         assert np.all(own >= inner)
         for side in range(4):

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from slefejax import Camera, InputError, View, sampled_error, tessellation_factors, triangle_error, triangulate
-from slefejax.predict.verified import drawn_grids_hold
 from slefejax.tessellator.levels import pieces_along
+from slefejax.tessellator.rings import Pattern
 from tests.test_drawn import flat_on, quadratics
 
 KINDS = ("saddles", "quadratics", "cubics")
@@ -78,9 +78,7 @@ def test_two_hundred_scenes(first):
 
 def test_these_scenes_break_levels_that_are_not_proved_last(monkeypatch):
     """A saddle for which 64 along u and v is enough is raised along one of them alone."""
-    monkeypatch.setattr(
-        "slefejax.predict.drawn.proved_levels", lambda certificate, inner, edges, numbers: (inner, edges)
-    )
+    monkeypatch.setattr("slefejax.predict.drawn.proved_levels", lambda certificate, inner, edges, *_: (inner, edges))
     assert max(worst(seed, "saddles", 0.05, tiles=1) for seed in range(6)) > 1.1
 
 
@@ -104,9 +102,7 @@ def test_levels_stay_as_chosen_where_they_are_proved(teapot, main_view, monkeypa
     """On the teapot, whose levels are all below 64, nothing is raised in the end."""
     found = tessellation_factors(teapot.patches(), main_view, tiles=1, edge_numbers=teapot.edge_numbers)
     inner, edges = found.inner, found.edges
-    monkeypatch.setattr(
-        "slefejax.predict.drawn.proved_levels", lambda certificate, inner, edges, numbers: (inner, edges)
-    )
+    monkeypatch.setattr("slefejax.predict.drawn.proved_levels", lambda certificate, inner, edges, *_: (inner, edges))
     again = tessellation_factors(teapot.patches(), main_view, tiles=1, edge_numbers=teapot.edge_numbers)
     assert np.array_equal(again.inner, inner)
     assert np.array_equal(again.edges, edges)
@@ -116,11 +112,13 @@ def test_proofs_know_where_lines_are_in_a_picture_with_pieces(monkeypatch):
     """One patch past 64 beside one that is proved cell by cell: its grid is looked at with the lines of 24 bits."""
     asked = []
 
-    def seen(nets, pattern, patch, levels, in_pieces=False):
-        asked.append(in_pieces)
-        return drawn_grids_hold(nets, pattern, patch, levels, in_pieces)
+    lines = Pattern.lines
 
-    monkeypatch.setattr("slefejax.predict.factors.drawn_grids_hold", seen)
+    def seen(pattern, in_pieces):
+        asked.append(in_pieces)
+        return lines(pattern, in_pieces)
+
+    monkeypatch.setattr(Pattern, "lines", seen)
     a = 4 * 20.4**2
     patches = quadratics([a, 4 * 150.0**2], [0.3 * a, 0.0], [0.9 * a, 0.0])
     view = flat_on(float(2 * np.ceil(np.abs(patches[..., 0]).max()) + 100))

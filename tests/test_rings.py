@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slefejax.tessellator.rings import Pattern, direct3d11, safe_levels
+from slefejax.tessellator.rings import Pattern, direct3d11
 
 
 def test_known_rings():
@@ -26,37 +26,6 @@ def test_levels_for_cells_that_are_wider_than_they_should_be():
     assert np.all(pattern.cells(levels[1:4]) <= 1 / np.array([1.0, 7.5, 62.9]))
 
 
-def never(patch, side, across):
-    return np.zeros(len(patch))
-
-
-def test_equal_levels_when_nothing_else_is_allowed():
-    inner = np.array([[3, 5], [9, 9], [0, 0]])
-    numbers = np.array([[0, 1, 2, 3], [2, 4, 5, 6], [3, 7, 8, 9]])
-    found, edges = safe_levels(inner, numbers, direct3d11(), never)
-    assert found[2].tolist() == [0, 0]
-    assert edges[2].tolist() == [0, 0, 0, 0]
-    along = found[:2][:, [1, 0, 1, 0]]
-    assert np.array_equal(along, edges[:2])
-    assert edges[0, 2] == edges[1, 0] == 9
-
-
-def test_a_single_quad_stays_one():
-    found, edges = safe_levels(np.ones((1, 2), int), np.arange(4)[None], direct3d11(), never)
-    assert found.tolist() == [[1, 1]]
-    assert edges.tolist() == [[1, 1, 1, 1]]
-
-
-def test_everything_allowed_leaves_the_larger_neighbour():
-    def always(patch, side, across):
-        return np.ones(len(patch))
-
-    numbers = np.array([[0, 1, 2, 3], [2, 4, 5, 6]])
-    found, edges = safe_levels(np.array([[4, 4], [7, 7]]), numbers, direct3d11(), always)
-    assert found.tolist() == [[4, 4], [7, 7]]
-    assert edges.tolist() == [[4, 4, 7, 4], [7, 7, 7, 7]]
-
-
 @pytest.mark.gl
 def test_this_driver_reaches_no_further(device):
     from slefejax.gpu import measure_pattern
@@ -65,6 +34,7 @@ def test_this_driver_reaches_no_further(device):
     assert isinstance(own, Pattern)
     assert np.all(own.reach <= known.reach)
     assert np.all(own.cell <= known.cell)
+    assert own.known == known.known
 
 
 @pytest.mark.gl

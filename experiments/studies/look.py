@@ -101,8 +101,11 @@ class Look:
 
     @cached_property
     def uniform(self) -> np.ndarray:
-        """The largest error of every patch over its domain, cut uniformly by the inner levels; pixels."""
-        return sampled_error(self.patches, self.inner, self.view)
+        """The largest error of every patch over its domain, cut uniformly as the factors say; pixels."""
+        own = self.factors
+        if own is None:
+            return sampled_error(self.patches, self.inner, self.view)
+        return sampled_error(self.patches, own.levels if own.pairs is None else own.pairs, self.view)
 
     @cached_property
     def worst(self) -> np.ndarray:

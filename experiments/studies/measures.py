@@ -95,6 +95,19 @@ def minimal(look: Look) -> Row:
     return {"minimal_triangles": int(2 * np.sum(look.beside.minimal**2))}
 
 
+@measure("triangles_over_minimal")
+def triangles_over_minimal(look: Look) -> Row:
+    """Triangles over those of the smallest uniform grids that keep the tolerance; NaN where these are not found.
+
+    Less than 1 where edges with fewer pieces, or grids of unequal levels, keep it too.
+    """
+    try:
+        fewest = minimal(look)["minimal_triangles"]
+    except InputError:
+        fewest = 0
+    return {"triangles_over_minimal": size(look)["triangles"] / fewest if fewest else float("nan")}
+
+
 @measure("factor_over_minimal_median", "factor_over_minimal_p95")
 def over_minimal(look: Look) -> Row:
     """How far above the minimal factors these are, rounded up."""

@@ -23,8 +23,8 @@ from slefejax.experiments.options import (
 )
 from slefejax.experiments.report import Report
 from slefejax.experiments.store import Row, Run, digest
-from slefejax.experiments.studies.look import Look
-from slefejax.experiments.studies.measures import Measure, measure, pixels, rendering, size
+from slefejax.experiments.studies.look import Look, Shown
+from slefejax.experiments.studies.measures import Measure, measure, pixels, rendering, size, triangles_over_minimal
 from slefejax.experiments.studies.study import Case, Study
 from slefejax.figures.error_image import write_error_image
 from slefejax.figures.studies.minimality import write_factor_map, write_minimality_figure
@@ -65,12 +65,13 @@ class Minimality:
         inputs = {"scene": digest(scene.patches().tobytes()), "opengl": device.renderer}
         with Run("minimality", arguments, self.output.out, inputs) as run:
             renderer = Renderer(scene.patches(), device)
-            sweep = _Sweep(scene, view, factors, beside, self, run, renderer)
+            shown = Shown(scene, view, self.prediction.tolerance)
+            sweep = _Sweep(shown, factors, beside, self, run, renderer)
             own = columns_of(request.method)
             cases = [Case(scale, {"scale": scale, **own}, partial(sweep.look, scale)) for scale in self.scales]
             times = Measure(("predict_ms",), lambda _: {"predict_ms": predict_ms})
             estimate = () if beside is None else (_estimate_beside,)
-            study = Study(cases, (size, pixels, rendering, *estimate, times), error_name)
+            study = Study(cases, (size, triangles_over_minimal, pixels, rendering, *estimate, times), error_name)
             rows = study.rows(run, "rendering")
             sweep.draw_pictures(rows)
             record = {
@@ -117,8 +118,7 @@ class _Scaled(Look):
 
 @dataclass
 class _Sweep:
-    scene: Scene
-    view: View
+    shown: Shown
     factors: Factors
     beside: Factors | None
     options: Minimality
@@ -135,12 +135,12 @@ class _Sweep:
 
     def look(self, scale: float) -> _Scaled:
         """Render at a scale, and keep the picture."""
-        patches, levels = self.scene.patches(), self.levels(scale)
-        found = _Scaled(patches, self.view, self.renderer, *levels, factors=self.factors.scaled(scale))
+        (patches, view), levels = (self.shown.patches, self.shown.view), self.levels(scale)
+        found = _Scaled(patches, view, self.renderer, *levels, factors=self.factors.scaled(scale), shown=self.shown)
         if self.beside is not None:
             inner, outer = self.levels(scale, self.beside)
             if max(inner.max(), outer.max()) <= MOST_LEVEL:
-                found.estimate = Look(patches, self.view, self.renderer, inner, outer)
+                found.estimate = Look(patches, view, self.renderer, inner, outer)
         _ = found.render_ms
         write_error_image(self.run.file(error_name(scale)), found.error)
         return found
@@ -148,14 +148,14 @@ class _Sweep:
     def draw_pictures(self, rows: list[Row]) -> None:
         """The factors on the patches, and one figure with everything."""
         inner, outer = self.levels(max(self.options.scales))
-        patch = self.renderer.draw(self.view, inner, outer).patch
+        patch = self.renderer.draw(self.shown.view, inner, outer).patch
         painted = np.where(patch >= 0, np.append(np.asarray(self.factors.factor, float), 0.0)[patch], np.nan)
         labels = _labels(patch, np.asarray(self.factors.factor, float))
         write_factor_map(self.run.file("factors.png"), painted, labels)
         images = [self.run.file(error_name(row["scale"])) for row in rows]
         tolerance = self.options.prediction.tolerance
         write_minimality_figure(
-            self.run.file("minimality.png"), rows, images, painted, labels, self.scene.name, tolerance
+            self.run.file("minimality.png"), rows, images, painted, labels, self.shown.scene.name, tolerance
         )
 
 

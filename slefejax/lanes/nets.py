@@ -151,6 +151,49 @@ def combined(net: Net, u: Any, v: Any) -> Net:
     return objects([[_weighted(line, row) for line in v] for row in rows])
 
 
+def restricting(count: int, low: Lanes, high: Lanes) -> list[list[Lanes]]:
+    """The matrix of lanes that restricts a curve of so many coefficients to low ... high.
+
+    Row k is the blossom's, with k arguments ``high`` and the others ``low``.
+
+    >>> [[x.item() for x in row] for row in restricting(2, jnp.array(0.0), jnp.array(0.25))]
+    [[1.0, 0.0], [0.75, 0.25]]
+    """
+    rows = []
+    for k in range(count):
+        row = [jnp.ones_like(low)]
+        for step in range(count - 1):
+            t = high if step < k else low
+            inner = [a * (1.0 - t) + b * t for a, b in zip(row[1:], row[:-1], strict=True)]
+            row = [row[0] * (1.0 - t), *inner, row[-1] * t]
+        rows.append(row)
+    return rows
+
+
+def restricted(net: Net, u: list[list[Lanes]], v: list[list[Lanes]]) -> Net:
+    """u times the net times v transposed, for matrices of lanes.
+
+    >>> net = jnp.array([0.0, 1.0]).reshape(1, 2, 1)
+    >>> ends = jnp.array([0.25]), jnp.array([0.5])
+    >>> restricted(net, restricting(1, *ends), restricting(2, *ends)).ravel().tolist()
+    [0.25, 0.5]
+    """
+    if unrolled(net):
+        return combined(net, u, v)
+    by_u, by_v = (jnp.stack([jnp.stack(row) for row in matrix]) for matrix in (u, v))
+    rows = total([by_u[:, i, None] * net[i] for i in range(net.shape[0])])
+    return total([by_v[:, j] * rows[:, j, None] for j in range(net.shape[1])])
+
+
+def combined_at(net: Net, u: list[Lanes], v: list[Lanes]) -> Lanes:
+    """The sum of the coefficients times u and v of their places.
+
+    >>> combined_at(objects([[1.0, 2.0]]), [3.0], [1.0, 1.0])
+    9.0
+    """
+    return total([x * total([c * y for c, y in zip(row, v, strict=True)]) for row, x in zip(net, u, strict=True)])
+
+
 def bilinear_times(corners: list[list[Lanes]], net: Net) -> Net:
     """The product with the bilinear function that has these values at the corners (i, j); both degrees grow by one.
 

@@ -17,6 +17,8 @@ class Tuning:
     few_chunks            : up to so many their number is rounded up to two sizes an octave, then to eight
     fewest_shared         : chunks for a core: with fewer of them threads cost more than they save
     blocks                : items of a call of which every call has another number
+    cells                 : cells or triangles of a call; a program more would take longer than calls that are not full
+    page                  : patches that one program finds the cells of
     most_maps             : of the 65,530 mappings of memory that Linux allows
     unrolled_coefficients : of a control net, one array each
     unrolled_boxes        : of slefes, one array each
@@ -37,6 +39,8 @@ class Tuning:
     few_chunks: int = 16
     fewest_shared: int = 2
     blocks: tuple[int, ...] = (128, 1024, 8192)
+    cells: int = 1024
+    page: int = 1024
     most_maps: int = 40_000
     unrolled_coefficients: int = 16
     unrolled_boxes: int = 25

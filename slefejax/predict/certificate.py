@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -16,47 +14,53 @@ from slefejax.bounds.triangles import AnyTriangle, HalfCells
 from slefejax.geometry.projection import Projection
 from slefejax.lanes import layout, loops, passes
 from slefejax.lanes.tuning import TUNING
+from slefejax.predict.cells import Pictures, grid_errors, triangle_errors
 from slefejax.predict.certified import certified_factor
 from slefejax.tessellator.levels import HIGHEST_LEVEL
 from slefejax.tessellator.rings import Pattern
 
-_RATIOS = 2.0 ** (np.arange(-20, 21) / 4.0)  # of n_u to n_v that are tried
-_SMALLER_STEPS = 4  # how often each of a pair is made smaller by one, where that is still allowed
-_STEPS = 6  # towards the longest triangle
-_JUST_BELOW = 0.995  # where a step aims: a length that is not quite allowed is worth nothing
+_FEW_CELLS = 1024
 
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
     """The patches, view and tolerances that certified factors are computed from.
 
-    patches    : ``(patches, du+1, dv+1, dim)``, concrete, relative to the projection's origin
+    given      : makes ``(patches, du+1, dv+1, dim)``, concrete, relative to the projection's origin, and the projection
     tolerances : in pixels, and of depth or None
     tiles      : along each side of a patch
     pattern    : of the tessellator
-    proof      : tells of patches (their numbers, levels, whether the picture has patches in pieces) whether they can be
-                 proved cell by cell to keep the tolerance on the tessellator's grids; None: that is not tried
-    scale      : that of ``Factors.scaled``: with 0.9, levels are what the certificate asks for, times 0.9
+    factor     : ``(patches,)``, what they are, from which on the theorem holds on even grids
+    pictures   : the same patches, for cells and triangles that are looked at one by one (``slefejax.predict.cells``)
+    scale      : that of ``Factors.scaled``: what is proved for n is taken for scale times n, and errors of 1/scale^2
+                 times the tolerance are allowed
     """
 
-    patches: Float[np.ndarray, "patches nu nv dim"]
-    projection: Projection
+    given: Callable[[], tuple[np.ndarray, Projection]]
     tolerances: tuple[Any, Any]
     tiles: int
     pattern: Pattern
-    proof: Callable[[np.ndarray, np.ndarray, bool], np.ndarray] | None = None
+    factor: Float[np.ndarray, "patches"]
+    pictures: Pictures
     scale: float = 1.0
 
+    @cached_property
+    def _given(self) -> tuple[np.ndarray, Projection]:
+        return self.given()
+
+    @property
+    def patches(self) -> Float[np.ndarray, "patches nu nv dim"]:
+        """Control points relative to the projection's origin."""
+        return self._given[0]
+
+    @property
+    def projection(self) -> Projection:
+        """For them."""
+        return self._given[1]
+
     def scaled(self, scale: float) -> Certificate:
-        """The same for levels of so many times the fineness: what is proved for n is taken for scale times n."""
-        proof = self.proof
-
-        def coarser(patch: np.ndarray, levels: np.ndarray, in_pieces: bool) -> np.ndarray:
-            assert proof is not None
-            # a little more, so that 0.9 times 10 stands for 10
-            return proof(patch, np.maximum(np.floor(levels / scale + 1e-9).astype(np.int64), 1), in_pieces)
-
-        return replace(self, scale=self.scale * scale, proof=None if proof is None else coarser)
+        """The same for levels of so many times the fineness."""
+        return replace(self, scale=self.scale * scale)
 
     def factors(
         self, nets: Float[np.ndarray, "n nu nv dim"], extents: Float[np.ndarray, "n 2"], evenness: Any = 1.0
@@ -71,29 +75,45 @@ class Certificate:
     def grids_keep(
         self, patch: Int[np.ndarray, "n"], levels: Int[np.ndarray, "n 2"], in_pieces: bool = False
     ) -> Bool[np.ndarray, "n"]:
-        """Whether patches keep the tolerance on grids of that many cells along u and v, even and as they are drawn.
+        """Whether patches keep the tolerance on grids of that many cells along u and v, as they are drawn.
 
-        in_pieces : in a picture with patches in pieces. Only proofs cell by cell need to know
+        in_pieces : in a picture with patches in pieces, whose lines lie elsewhere
+
+        Small grids are looked at cell by cell, large ones where the theorem does not cover them.
         """
+        error = np.full(len(patch), np.inf)
+        whole = np.all(levels <= HIGHEST_LEVEL, axis=1)
+        small = whole & (levels.prod(axis=1) <= _FEW_CELLS)
+        own = np.flatnonzero(small)
+        error[own] = self.grid_errors(patch[own], levels[own], in_pieces)
+        # those at the eye's plane, too, are left to the theorem
+        own = np.flatnonzero(~np.isfinite(error))
+        own = own[self._boxes_keep(patch[own], levels[own])]
+        error[own] = 1.0
+        own = np.flatnonzero(~np.isfinite(error) & whole & ~small)
+        error[own] = self.grid_errors(patch[own], levels[own], in_pieces)
+        return error <= 1.0
+
+    def _boxes_keep(self, patch: np.ndarray, levels: np.ndarray) -> Bool[np.ndarray, "n"]:
         sides = self.pattern.cells(levels)
         size = np.sqrt(sides[:, 0] * sides[:, 1])
         evenness = self.pattern.narrowest(levels).min(axis=1)
-        fine = self.factors(self.patches[patch], sides / size[:, None], evenness) * size <= 1.0
-        if self.proof is not None:
-            open_ones = np.flatnonzero(~fine)
-            fine[open_ones] = self.proof(patch[open_ones], levels[open_ones], in_pieces)
-        return fine
+        return self.factors(self.patches[patch], sides / size[:, None], evenness) * size <= 1.0
 
-    def longest(
-        self,
-        nets: Float[np.ndarray, "n nu nv dim"],
-        along: Int[np.ndarray, "n"],
-        shortest: Float[np.ndarray, "n"],
-        longest: Float[np.ndarray, "n"],
+    def grid_errors(
+        self, patch: Int[np.ndarray, "n"], levels: Int[np.ndarray, "n 2"], in_pieces: bool = False
     ) -> Float[np.ndarray, "n"]:
-        """How long triangles of any shape may be along an axis of a net, between two lengths; 0 if never so short."""
-        numbers = np.stack([along, shortest, longest], axis=1)
-        return self._through(_longest_pass, nets, numbers, (self.scale, _STEPS), self.tiles)
+        """At most how far visible points of grids with up to 64 lines err, over what is allowed."""
+        return self.scale**2 * grid_errors(self.pictures, patch, levels, self.pattern.lines(in_pieces))
+
+    def ring_errors(
+        self, patch: np.ndarray, side: np.ndarray, inner: Int[np.ndarray, "n 2"], edge: np.ndarray, in_pieces: bool
+    ) -> Float[np.ndarray, "n"]:
+        """The same of the triangles between grids and edges, of patches that are drawn whole."""
+        own, corners = self.pattern.ring_triangles(side, inner, edge, in_pieces)
+        worst = np.zeros(len(patch))
+        np.maximum.at(worst, own, triangle_errors(self.pictures, patch[own], corners))
+        return self.scale**2 * worst
 
     def triangles_keep(
         self, nets: Float[np.ndarray, "n nu nv dim"], along: Int[np.ndarray, "n"], length: Float[np.ndarray, "n"]
@@ -101,8 +121,24 @@ class Certificate:
         """Whether triangles of any shape, of a length along an axis of a net, keep the tolerance."""
         # what is tried is not shorter, whatever rounding does to it
         length = length * (1.0 + 8.0 * np.finfo(self.patches.dtype).eps)
-        numbers = np.stack([along, length, length], axis=1)
-        return self._through(_longest_pass, nets, numbers, (self.scale, 1), self.tiles) > 0
+        size = np.sqrt(length)
+        extents = np.where((along == 0)[:, None], np.stack([size, 1.0 / size], 1), np.stack([1.0 / size, size], 1))
+        return self.scale * size * self._through(_triangles_pass, nets, extents, self.tiles) <= 1.0
+
+    @cached_property
+    def even(self) -> Int[np.ndarray, "patches"]:
+        """The lowest levels, the same along u and v, of which the factors tell that grids as they are drawn hold.
+
+        By (5'), that cells are not quite even raises sigma by at most the square of what is missing.
+        """
+        factor = np.asarray(self.factor, np.float64) * self.scale
+        levels = np.ceil(factor).astype(np.int64)
+        while True:
+            unevenness = 2.0 - self.pattern.narrowest(levels) ** 2
+            wide = (levels > 0) & (self.pattern.cells(levels) ** 2 * factor**2 * unevenness > 1.0)
+            if not wide.any():
+                return levels
+            levels = levels + wide
 
     def for_all_boxes(self, patch: Int[np.ndarray, "n"], levels: Int[np.ndarray, "n 2"]) -> Int[np.ndarray, "n 2"]:
         """Levels in the ratio of those given from which on all grids keep the tolerance, raised along u, v or both."""
@@ -110,48 +146,6 @@ class Certificate:
         extents = np.stack([np.sqrt(v / u), np.sqrt(u / v)], axis=1)
         factor = self.factors(self.patches[patch], extents, 0.0)[:, None]
         return self.pattern.levels_for(np.maximum(factor / extents, factor > 0))
-
-    def start(self, levels: Int[np.ndarray, "patches 2"]) -> Int[np.ndarray, "patches 2"]:
-        """``for_all_boxes`` of all patches, or the highest that is drawn whole where that one is enough.
-
-        That one may not be raised along one axis alone: ``slefejax.predict.proved`` looks at what is drawn in the end.
-        """
-        found = self.for_all_boxes(np.arange(len(levels)), levels)
-        high = np.flatnonzero(np.any(found > HIGHEST_LEVEL, axis=1))
-        fine = high[self.grids_keep(high, np.full((len(high), 2), HIGHEST_LEVEL))]
-        found[fine] = HIGHEST_LEVEL
-        return found
-
-    @cached_property
-    def swept(self) -> Int[np.ndarray, "patches ratios 2"]:
-        """Levels along u and v of about the fineness that is needed, for a row of ratios; 0 for an unseen patch."""
-        found = []
-        for ratio in _RATIOS:
-            extents = np.array([ratio**-0.5, ratio**0.5])
-            factor = self.factors(self.patches, np.broadcast_to(extents, (len(self.patches), 2)))
-            found.append(self.pattern.levels_for(np.maximum(factor[:, None] / extents, factor[:, None] > 0)))
-        return np.stack(found, axis=1)
-
-    def pairs(self) -> Int[np.ndarray, "patches 2"]:
-        """Levels along u and v with the fewest cells that were found to keep the tolerance; 0 for an unseen patch.
-
-        The best pair that was swept is made smaller, one level at a time, while that is allowed.
-        """
-        best = self.start(np.ones((len(self.patches), 2), np.int64))
-        open_ones = np.flatnonzero(best[:, 0] > 0)
-        rank = np.argsort(self.swept.prod(axis=2), axis=1, kind="stable")
-        for place in range(len(_RATIOS)):
-            pair = self.swept[open_ones, rank[open_ones, place]]
-            open_ones, pair = (x[pair.prod(axis=1) < best[open_ones].prod(axis=1)] for x in (open_ones, pair))
-            fine = self.grids_keep(open_ones, pair)
-            best[open_ones[fine]] = pair[fine]
-            open_ones = open_ones[~fine]
-        for axis in (0, 1) * _SMALLER_STEPS:
-            smaller = best - np.eye(2, dtype=np.int64)[axis]
-            patch = np.flatnonzero(smaller[:, axis] >= 1)
-            fine = patch[self.grids_keep(patch, smaller[patch])]
-            best[fine] = smaller[fine]
-        return best
 
     def _through(self, compiled: Callable[..., Any], nets: np.ndarray, numbers: np.ndarray, *more: Any) -> np.ndarray:
         if not len(nets):
@@ -179,36 +173,15 @@ def _of_boxes(both: Any, projection: Projection, tolerances: Any, *, tiles: int,
     return certified_factor(control, projection, tolerances, triangles, tiles=tiles, unrolled=unrolled)
 
 
-@passes.as_pass(4, 5)
-def _longest_pass(
-    packed: Any, projection: Projection, tolerances: tuple[Any, Any], search: Any, tiles: int, unrolled: bool | None
+@passes.as_pass(3, 4)
+def _triangles_pass(
+    packed: Any, projection: Projection, tolerances: tuple[Any, Any], tiles: int, unrolled: bool | None
 ) -> Any:
-    return _of_lengths(packed, projection, tolerances, search, tiles=tiles, unrolled=unrolled)
+    return _of_triangles(packed, projection, tolerances, tiles=tiles, unrolled=unrolled)
 
 
 @loops.chunked
-def _of_lengths(
-    both: Any, projection: Projection, tolerances: Any, search: Any, *, tiles: int, unrolled: bool | None
-) -> Any:
-    control, (along, shortest, longest) = both
-    scale, steps = search
-
-    def needed(length: Any) -> Any:
-        size = jnp.sqrt(length)
-        triangles = AnyTriangle((jnp.where(along == 0, size, 1.0 / size), jnp.where(along == 0, 1.0 / size, size)))
-        factor = certified_factor(control, projection, tolerances, triangles, tiles=tiles, unrolled=unrolled)
-        return jnp.maximum(factor * size * scale, 1e-3)
-
-    def closer(_: Any, known: tuple[Any, ...]) -> tuple[Any, ...]:
-        found, length, before, value_before = known
-        value = needed(length)
-        found = jnp.where(value <= 1.0, jnp.maximum(found, length), found)
-        # value is about a power of the length, of an exponent up to 1
-        rise = jnp.log(value / value_before) / jnp.log(length / before)
-        power = jnp.where((rise > 0.3) & (rise < 1.0), rise, 1.0)
-        aim = jnp.clip(_JUST_BELOW * length * value ** (-1.0 / power), shortest, longest)
-        return found, jnp.where(aim == length, _JUST_BELOW * aim, aim), length, value
-
-    guess = jnp.sqrt(shortest * longest)
-    start = (jnp.zeros_like(shortest), guess, 2.0 * guess, jnp.ones_like(guess))
-    return jax.lax.fori_loop(0, steps, closer, start)[0]
+def _of_triangles(both: Any, projection: Projection, tolerances: Any, *, tiles: int, unrolled: bool | None) -> Any:
+    control, (e_u, e_v) = both
+    triangles = AnyTriangle((e_u, e_v))
+    return certified_factor(control, projection, tolerances, triangles, tiles=tiles, unrolled=unrolled)

@@ -19,11 +19,11 @@ from slefejax.geometry.packed import Packed, pack
 from slefejax.geometry.projection import Projection
 from slefejax.geometry.view import View, check_view
 from slefejax.lanes import layout
+from slefejax.predict.cells import Pictured, Pictures, verified_factors
 from slefejax.predict.certificate import Certificate
-from slefejax.predict.drawn import drawn_levels
+from slefejax.predict.drawn import drawn_levels, small_grids
 from slefejax.predict.kernel import Kernel, Method, Prepared, Tolerances
 from slefejax.predict.methods import Certified, Knobs, Name, Request, name_of
-from slefejax.predict.verified import Pictured, drawn_grids_hold, verified_factors
 from slefejax.tessellator.edges import check_edge_numbers, edge_maxima, shared_edges
 from slefejax.tessellator.levels import with_pieces
 
@@ -91,8 +91,10 @@ class Factors:
     @cached_property
     def _drawn(self) -> tuple[np.ndarray, np.ndarray]:
         if self.certify is not None:
-            inner = np.repeat(self.levels[:, None], 2, axis=1) if self.pairs is None else self.pairs
-            found = drawn_levels(self.certify(), inner, self.edge_numbers, self.pairs is not None)
+            assert self.request is not None
+            method = self.request.method
+            anisotropic, fewest = bool(method.anisotropic), method.levels == "fewest"
+            found = drawn_levels(self.certify(), self.edge_numbers, anisotropic=anisotropic, fewest=fewest)
         else:
             inner = np.repeat(self.levels[:, None], 2, axis=1)
             found = with_pieces(inner, edge_maxima(self.levels, self.edge_numbers), self.edge_numbers)
@@ -263,14 +265,10 @@ def _settled(factor: Any, request: Request, prepared: Prepared, view: View, edge
     _check_result(np.asarray(factor), packed.patches)
     if not isinstance(method, Certified):
         return Factors(factor, request, packed, edge_numbers)
-    proof = None
+    certify = _Certify(method, packed, view, tolerances, np.asarray(factor))
     if method.verify:
-        # in double precision, whatever the patches are in
-        pictured = Pictured.of(np.asarray(packed.patches()), Projection.of(view), tolerances)
-        factor = verified_factors(np.asarray(factor), pictured)
-        proof = partial(drawn_grids_hold, pictured, method.drawn_with)
-    certify = _Certify(method, packed, view, tolerances, proof)
-    pairs = certify().pairs() if method.anisotropic else None
+        factor = verified_factors(np.asarray(factor), certify().pictures)
+    pairs = small_grids(certify(), anisotropic=True) if method.anisotropic else None
     return Factors(factor, request, packed, edge_numbers, pairs, certify)
 
 
@@ -282,18 +280,28 @@ class _Certify:
     packed: Packed
     view: View
     tolerances: Tolerances
-    proof: Any
+    factor: np.ndarray
 
     def __call__(self) -> Certificate:
         return self._certificate
 
     @cached_property
     def _certificate(self) -> Certificate:
+        tolerances = jax.tree.map(lambda number: jnp.asarray(number, self.packed.dtype), tuple(self.tolerances))
+        tiles, pattern, pictures = (
+            self.method.formula.tiles,
+            self.method.drawn_with,
+            Pictures(self._on_screen, len(self.packed)),
+        )
+        return Certificate(self._given, tolerances, tiles, pattern, self.factor, pictures)
+
+    def _given(self) -> tuple[np.ndarray, Projection]:
         chunks, projection = self.packed.placed(self.view)
-        concrete = projection.relative(layout.unpack_on_host(chunks, len(self.packed)), axis=-1)
-        tolerances = jax.tree.map(lambda number: jnp.asarray(number, chunks.dtype), tuple(self.tolerances))
-        tiles = self.method.formula.tiles
-        return Certificate(concrete, projection, tolerances, tiles, self.method.drawn_with, self.proof)
+        return projection.relative(layout.unpack_on_host(chunks, len(self.packed)), axis=-1), projection
+
+    def _on_screen(self, which: np.ndarray) -> Pictured:
+        """In double precision, whatever the patches are in."""
+        return Pictured.of(np.asarray(self.packed.patches())[which], Projection.of(self.view), self.tolerances)
 
 
 def _scaled(certify: Callable[[], Certificate], scale: float) -> Certificate:

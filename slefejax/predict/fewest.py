@@ -1,130 +1,106 @@
-"""Which inner levels all patches together should choose for the fewest triangles (docs/certified.md, section 6).
+"""Levels lowered, in turns, as long as all triangles keep the tolerance (docs/certified.md, section 6).
 
-Every patch has a few pairs of inner levels to choose from, each with the edge levels that its rings then allow, as bits
-m - 1 of a set. An edge gets the lowest level that all patches on it allow. What a choice costs depends on the
-neighbours' choices alone, so patches that share no edge choose at the same time, over and over; that some choices at
-first are not the best ones finds better ends.
+What a ring needs depends on its patch's grid and on its own edge alone. So as long as no grid changes, all edges can be
+lowered at once, and as long as no edge changes, all grids.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, Int, UInt64
+from jaxtyping import Bool, Float, Int
 
-_ROUNDS = 100
-_HEAT = 0.05  # of a patch's triangles: how much worse a choice may be at first
-_SHARED_BY = 8  # patches on edges that more patches share keep their first choice
+from slefejax.predict.certificate import Certificate
+from slefejax.predict.proved import acting, ring_errors
+from slefejax.tessellator.levels import HIGHEST_LEVEL, OWN_AXIS, pieces_along
 
-Inner = Int[np.ndarray, "patches choices 2"]
-Sets = UInt64[np.ndarray, "patches choices 4"]
+_SMALLER = ((1, 0), (0, 1))  # cells less along u and v
+_ALLOWED = 0.9  # of an error that is known to be allowed, and no more
+_FAR_TOO_LARGE = 1e6  # an error
+
+Pairs = Int[np.ndarray, "patches 2"]
 Numbers = Int[np.ndarray, "patches 4"]
-Sides = Int[np.ndarray, "n"]  # 4 times the patch plus the side
 
 
-def fewest_triangles(
-    inner: Inner, sets: Sets, numbers: Numbers
-) -> tuple[Int[np.ndarray, "patches 2"], Int[np.ndarray, "patches 4"]]:
-    """Inner and edge levels.
+def fewer_triangles(
+    certificate: Certificate, inner: Pairs, edges: Numbers, numbers: Numbers, rounds: int
+) -> tuple[Pairs, Numbers]:
+    """Inner and edge levels, no higher than those given, that are proved if those are.
 
-    inner   : levels of at least 1; all first choices together must be possible
-    sets    : edge levels allowed; an empty set rules a choice out
     numbers : equal for shared edges
+    rounds  : at most so many
+
+    Patches that are drawn in pieces, and the edges of these, stay as they are.
     """
-    numbers = np.unique(numbers, return_inverse=True)[1].reshape(-1, 4)
-    sets = _with_own_edges(sets, numbers)
-    members = np.bincount(numbers.ravel())[numbers]
-    fixed = np.any(members > _SHARED_BY, axis=1)
-    cost = _own_triangles(inner)
-    cost[fixed, 1:] = np.inf
-    sides, others = _sharing(numbers, members)
-    least, best = np.inf, np.zeros(len(inner), np.int64)
-    # from the choices that are possible, and from the cheapest ones: patches that need less together seldom get there
-    # one by one
-    for choice in (best, np.argmin(cost, axis=1)):
-        rng = np.random.default_rng(0)
-        for turn in range(_ROUNDS):
-            total = _total(cost, sets, numbers, choice)
-            if total < least:
-                least, best = total, choice
-            heat = _HEAT * max(0.0, 1.0 - 1.25 * turn / _ROUNDS)
-            own = _taking_turns(numbers, rng)
-            neighbours = _neighbours(_chosen(sets, choice), sides, others)[own]
-            price = cost[own] + (members[own, None] * lowest(sets[own] & neighbours[:, None])).sum(axis=2)
-            noise = rng.gumbel(size=price.shape) * heat * np.maximum(cost[own, :1], 0.0)
-            choice = choice.copy()
-            choice[own] = np.argmin(price - noise, axis=1)
-    row = np.arange(len(inner))
-    return inner[row, best], _edge_levels(_chosen(sets, best), numbers)[numbers].astype(np.int64)
+    seen = np.all(edges > 0, axis=1)
+    whole = seen & np.all(pieces_along(inner, edges) == 1, axis=1)
+    in_pieces = bool(max(inner.max(initial=0), edges.max(initial=0)) > HIGHEST_LEVEL)
+    free = ~np.isin(numbers, numbers[seen & ~whole]) & whole[:, None]
+    patches, sides = whole, free
+    for _ in range(rounds):
+        before = inner, edges
+        edges = _lower_edges(certificate, inner, edges, numbers, sides, in_pieces)
+        patches = whole & (patches | np.any(edges != before[1], axis=1))
+        inner = _smaller_grids(certificate, inner, edges, patches, in_pieces)
+        patches, lowered = np.any(inner != before[0], axis=1), edges != before[1]
+        if not (patches.any() or lowered.any()):
+            break
+        sides = free & (lowered | np.isin(numbers, numbers[patches]))
+    return inner, edges
 
 
-def lowest(sets: UInt64[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-    """The lowest level in each set, infinity for an empty one.
+def _lower_edges(
+    certificate: Certificate,
+    inner: Pairs,
+    edges: Numbers,
+    numbers: Numbers,
+    sides: Bool[np.ndarray, "patches 4"],
+    in_pieces: bool,
+) -> Numbers:
+    """The lowest levels of edges that were found to be allowed by all neighbours.
 
-    >>> lowest(np.array([0b1000, 0], np.uint64)).tolist()
-    [4.0, inf]
+    How much the rings of a level err tells which one to look at next.
     """
-    bit = np.frexp((sets & (~sets + np.uint64(1))).astype(np.float64))[1]
-    return np.where(sets == 0, np.inf, bit)
+    found = np.zeros(numbers.max() + 1, np.int64)
+    np.maximum.at(found, numbers.ravel(), edges.ravel())
+    failed, trial = np.where(np.isin(np.arange(len(found)), numbers[sides]), 0, found), found - 1
+    while np.any(open_ones := (failed < trial) & (trial < found)):
+        patch, side = np.nonzero(open_ones[numbers] & sides)
+        number, error = numbers[patch, side], np.zeros(len(found))
+        lower = np.where(edges > 0, np.where(open_ones, trial, found)[numbers], 0)
+        np.maximum.at(error, number, _sides_err(certificate, inner, lower, patch, side, in_pieces))
+        fine = error <= 1.0
+        found = np.where(open_ones & fine, trial, found)
+        failed = np.where(open_ones & ~fine, trial, failed)
+        guess = np.ceil(trial * np.sqrt(np.minimum(error, _FAR_TOO_LARGE))).astype(np.int64)
+        trial = np.where(open_ones, np.maximum(guess, failed + 1), trial)
+    return np.where(edges > 0, found[numbers], 0)
 
 
-def _own_triangles(inner: Inner) -> Float[np.ndarray, "patches choices"]:
-    """Triangles of a patch, but for one for every piece of its edges (``tessellator.levels.triangle_counts``)."""
-    u, v = np.moveaxis(np.maximum(inner, 2) - 2.0, 2, 0)
-    return np.where(np.all(inner == 1, axis=2), -2.0, 2.0 * (u * v + u + v))
+def _sides_err(
+    certificate: Certificate, inner: Pairs, edges: Numbers, patch: np.ndarray, side: np.ndarray, in_pieces: bool
+) -> Float[np.ndarray, "n"]:
+    """At most how far rings along sides err, over what is allowed; a little less for parts of grids."""
+    error = np.full(len(patch), _ALLOWED)
+    # with its other edges as they are a patch that is cut stays so: level 1 acts as 2
+    grids = acting(inner[patch], edges[patch])[np.arange(len(patch)), OWN_AXIS[side]]
+    own = np.flatnonzero(grids != edges[patch, side])
+    error[own] = ring_errors(certificate, inner, edges, patch[own], side[own], in_pieces)
+    return error
 
 
-def _with_own_edges(sets: Sets, numbers: Numbers) -> Sets:
-    """A patch may meet itself: both sides then allow what both allow."""
-    sets = sets.copy()
-    for a in range(4):
-        for b in range(a):
-            same = np.flatnonzero(numbers[:, a] == numbers[:, b])
-            sets[same, :, a] = sets[same, :, b] = sets[same, :, a] & sets[same, :, b]
-    return sets
-
-
-def _sharing(numbers: Numbers, members: Int[np.ndarray, "patches 4"]) -> tuple[Sides, Sides]:
-    """Pairs of sides of different patches that share an edge, in both orders."""
-    flat, members = numbers.ravel(), members.ravel()
-    order = np.argsort(flat, kind="stable")
-    place = np.empty_like(order)
-    place[order] = np.arange(len(order))
-    start = np.searchsorted(flat[order], flat)
-    sides, others = [], []
-    for step in range(1, _SHARED_BY):
-        side = np.flatnonzero((members > step) & (members <= _SHARED_BY))
-        other = order[start[side] + (place[side] - start[side] + step) % members[side]]
-        apart = side // 4 != other // 4
-        sides.append(side[apart])
-        others.append(other[apart])
-    return np.concatenate(sides), np.concatenate(others)
-
-
-def _chosen(sets: Sets, choice: Int[np.ndarray, "patches"]) -> UInt64[np.ndarray, "patches 4"]:
-    return sets[np.arange(len(sets)), choice]
-
-
-def _neighbours(chosen: UInt64[np.ndarray, "patches 4"], sides: Sides, others: Sides) -> UInt64[np.ndarray, "p 4"]:
-    """What the other patches on every edge allow."""
-    found = np.full(chosen.size, ~np.uint64(0))
-    np.bitwise_and.at(found, sides, chosen.ravel()[others])
-    return found.reshape(chosen.shape)
-
-
-def _edge_levels(chosen: UInt64[np.ndarray, "patches 4"], numbers: Numbers) -> Float[np.ndarray, "edges"]:
-    allowed = np.full(numbers.max() + 1, ~np.uint64(0))
-    np.bitwise_and.at(allowed, numbers.ravel(), chosen.ravel())
-    return lowest(allowed)
-
-
-def _total(cost: np.ndarray, sets: Sets, numbers: Numbers, choice: Int[np.ndarray, "patches"]) -> float:
-    levels = _edge_levels(_chosen(sets, choice), numbers)
-    return float(cost[np.arange(len(cost)), choice].sum() + levels[numbers].sum())
-
-
-def _taking_turns(numbers: Numbers, rng: np.random.Generator) -> Int[np.ndarray, "n"]:
-    """Patches of which no two share an edge, drawn at random."""
-    lot = rng.random(len(numbers))
-    highest = np.zeros(numbers.max() + 1)
-    np.maximum.at(highest, numbers.ravel(), np.repeat(lot, 4))
-    return np.flatnonzero(lot >= highest[numbers].max(axis=1))
+def _smaller_grids(
+    certificate: Certificate, inner: Pairs, edges: Numbers, patches: Bool[np.ndarray, "patches"], in_pieces: bool
+) -> Pairs:
+    """A cell less along u or v for every patch that keeps the tolerance so."""
+    for less in _SMALLER:
+        trial = np.maximum(inner - np.array(less), 1)
+        worth = patches & np.any(acting(trial, edges) != acting(inner, edges), axis=1)
+        patch = np.flatnonzero(worth)
+        fine = patch[certificate.grids_keep(patch, acting(trial[patch], edges[patch]), in_pieces)]
+        own, side = np.nonzero(edges[fine] != acting(trial[fine], edges[fine])[:, OWN_AXIS])
+        holds = np.ones(len(fine), bool)
+        errors = ring_errors(certificate, trial, edges, fine[own], side, in_pieces)
+        np.logical_and.at(holds, own, errors <= 1.0)
+        inner = inner.copy()
+        inner[fine[holds]] = trial[fine[holds]]
+    return inner

@@ -22,6 +22,7 @@ from slefejax.arguments import (
     Number,
     Patches,
     Segments,
+    check_choice,
     check_positive,
     check_temperature,
     check_whole,
@@ -41,6 +42,7 @@ from slefejax.predict.kernel import Kernel, Method, Prepared, Tolerances
 from slefejax.predict.rules import EdgeLength, Filip, Fixed, Minmax, ScreenBox
 from slefejax.tessellator.rings import Pattern, direct3d11
 
+LEVELS = ("fast", "fewest")
 _ORIGIN_BITS = 8  # of an origin's coordinates: poses that are nearly the same have the same
 
 Name = Literal["certified", "slefe", "filip", "minmax", "edge-length", "screen-box", "fixed"]
@@ -55,6 +57,8 @@ class Certified(Kernel):
                   tiles^2; 1 is the cheapest. Static
     anisotropic : levels differ along u and v where that saves triangles
     verify      : smaller whole numbers are proved cell by cell, which is slower and tighter, for factors up to 128
+    levels      : how levels are found that can be drawn: ``"fast"``, at about the price of the factors, or
+                  ``"fewest"``: patches choose with their neighbours, which takes longer
     smooth      : a temperature, 0 < smooth <= 1, or None. Maxima become soft ones, never smaller
     pattern     : how the tessellator makes transition rings; None: as Direct3D 11 says
 
@@ -67,6 +71,7 @@ class Certified(Kernel):
     tiles: int = 2
     anisotropic: bool = False
     verify: bool = False
+    levels: Literal["fast", "fewest"] = "fast"
     smooth: Number | None = None
     pattern: Pattern | None = None
 
@@ -77,6 +82,7 @@ class Certified(Kernel):
             if not isinstance(value, (bool, np.bool_)):
                 raise InputError(f"{name} must be True or False, not {value!r}", options=(name,))
         check_whole("tiles", self.tiles, 1)
+        check_choice("levels", self.levels, LEVELS)
         if self.pattern is not None and not isinstance(self.pattern, Pattern):
             raise InputError(f"pattern must be a slefejax.tessellator.rings.Pattern, not {type(self.pattern).__name__}")
         if self.smooth is not None and self.whole:
@@ -209,6 +215,7 @@ class Knobs(TypedDict, total=False):
     tiles: int | None
     anisotropic: bool | None
     verify: bool | None
+    levels: Literal["fast", "fewest"] | None
     segments: Segments
     k: Number | None
     setting: Number | None

@@ -9,47 +9,78 @@ from slefejax.errors import InputError
 from slefejax.geometry.bezier import restrict
 from slefejax.predict.certificate import Certificate
 from slefejax.tessellator.direct3d11 import ONE
-from slefejax.tessellator.levels import MOST_LEVEL, OWN_AXIS, pieces_along, with_pieces
+from slefejax.tessellator.levels import HIGHEST_LEVEL, MOST_LEVEL, OWN_AXIS, pieces_along, with_pieces
 from slefejax.tessellator.rings import ringed_sides, with_better_rings
 
+_TRIES = 4  # a cell more along u and v
 _BLOCK = 2**14  # strips that are held at once
 
 Pairs = Int[np.ndarray, "patches 2"]
 Numbers = Int[np.ndarray, "patches 4"]
 
 
-def proved_levels(certificate: Certificate, inner: Pairs, edges: Numbers, numbers: Numbers) -> tuple[Pairs, Numbers]:
+def proved_levels(
+    certificate: Certificate, inner: Pairs, edges: Numbers, numbers: Numbers, known: Pairs | None = None
+) -> tuple[Pairs, Numbers]:
     """These levels where they are proved, higher ones where they are not.
 
     inner, edges : what is to be drawn: 0 for unseen patches, edges equal where they are shared
     numbers      : equal for shared edges (``slefejax.tessellator.edges``)
+    known        : grids that are proved already, as they are drawn in a picture without pieces
 
-    A patch whose grid fails gets levels from which on all grids hold, a ring that fails more cells or more pieces of
-    its edge, until it is part of the grid. Levels only grow, so this ends. Raises InputError, with the patch's number,
-    where more than can be drawn would be needed.
+    A patch whose grid fails gets a few cells more, and then levels from which on all grids hold; a ring that fails more
+    cells or more pieces of its edge, until it is part of the grid. Levels only grow, so this ends. Raises InputError,
+    with the patch's number, where more than can be drawn would be needed.
     """
-    safe = np.full(inner.shape, MOST_LEVEL)
+    known = np.zeros(inner.shape, np.int64) if known is None else known.copy()
+    safe, tries = np.full(inner.shape, MOST_LEVEL), np.zeros(len(inner), np.int64)
     changed = np.all(edges > 0, axis=1)
     while changed.any():
         _check_drawable(inner, edges)
         before = inner, edges
-        in_pieces = was_in_pieces = bool(np.any(pieces_along(inner, edges) > 1))
+        in_pieces = was_in_pieces = _has_pieces(inner, edges)
         patch = np.flatnonzero(changed)
-        patch = patch[~np.all(inner[patch] >= safe[patch], axis=1)]
-        wide = patch[~certificate.grids_keep(patch, acting(inner[patch], edges[patch]), in_pieces)]
-        if wide.size:
-            safe[wide] = certificate.for_all_boxes(wide, inner[wide])
-            inner = inner.copy()
-            inner[wide] = np.maximum(inner[wide], safe[wide])
+        grids = acting(inner[patch], edges[patch])
+        asked = ~np.all(inner[patch] >= safe[patch], axis=1) & (in_pieces | np.any(grids != known[patch], axis=1))
+        patch, grids = patch[asked], grids[asked]
+        fine = certificate.grids_keep(patch, grids, in_pieces)
+        if not in_pieces:
+            known[patch[fine]] = grids[fine]
+        if not fine.all():
+            inner = _raised(certificate, inner, patch[~fine], grids[~fine], tries, safe)
             inner, edges = with_pieces(inner, edges, numbers)
-        patch, side = np.nonzero(np.broadcast_to(changed[:, None], edges.shape))
-        in_pieces |= bool(np.any(pieces_along(inner, edges) > 1))
-        failing = ~_rings_keep(certificate, inner, edges, patch, side, in_pieces)
+        in_pieces |= _has_pieces(inner, edges)
+        patch, side = _ringed(inner, edges, changed)
+        failing = ring_errors(certificate, inner, edges, patch, side, in_pieces) > 1.0
         inner, edges = with_better_rings(inner, edges, numbers, patch[failing], side[failing], certificate.pattern)
         changed = np.any(inner != before[0], axis=1) | np.any(edges != before[1], axis=1)
-        if not was_in_pieces and np.any(pieces_along(inner, edges) > 1):
+        if not was_in_pieces and _has_pieces(inner, edges):
             changed = np.all(edges > 0, axis=1)  # vertices of all patches are placed otherwise
     return inner, edges
+
+
+def _raised(
+    certificate: Certificate, inner: Pairs, patch: np.ndarray, grids: Pairs, tries: np.ndarray, safe: Pairs
+) -> Pairs:
+    """More cells for patches whose grids fail; ``tries`` and ``safe`` are brought up to date."""
+    inner = inner.copy()
+    tries[patch] += 1
+    often = (tries[patch] > _TRIES) | np.any(grids >= HIGHEST_LEVEL, axis=1)
+    inner[patch] = np.maximum(inner[patch], grids + 1)
+    last = patch[often]
+    safe[last] = certificate.for_all_boxes(last, inner[last])
+    inner[last] = np.maximum(inner[last], safe[last])
+    return inner
+
+
+def _has_pieces(inner: Pairs, edges: Numbers) -> bool:
+    return bool(max(inner.max(), edges.max()) > HIGHEST_LEVEL)
+
+
+def _ringed(inner: Pairs, edges: Numbers, changed: Bool[np.ndarray, "patches"]) -> tuple[np.ndarray, np.ndarray]:
+    """Patches and sides where the grid and the edge have different levels."""
+    patch, side = np.nonzero((edges != acting(inner, edges)[:, OWN_AXIS]) & changed[:, None])
+    return patch, side
 
 
 def acting(inner: Pairs, edges: Numbers) -> Pairs:
@@ -62,18 +93,34 @@ def acting(inner: Pairs, edges: Numbers) -> Pairs:
     return np.where(cut[:, None], np.maximum(inner, 2), inner)
 
 
-def _rings_keep(
+def ring_errors(
+    certificate: Certificate, inner: Pairs, edges: Numbers, patch: np.ndarray, side: np.ndarray, in_pieces: bool
+) -> Float[np.ndarray, "n"]:
+    """At most how far rings that are no part of a grid err, over what is allowed; infinity where that is not known.
+
+    Triangles of patches that are drawn whole are looked at one by one where the pattern tells them; others, and those
+    near to the eye's plane, count as any triangle of their length.
+    """
+    errors = np.full(len(patch), np.inf)
+    if certificate.pattern.known:
+        own = np.flatnonzero(np.all(pieces_along(inner[patch], edges[patch]) == 1, axis=1))
+        at = patch[own], side[own]
+        errors[own] = certificate.ring_errors(*at, inner[at[0]], edges[at], in_pieces)
+    own = np.flatnonzero(~np.isfinite(errors))
+    errors[own[_lengths_keep(certificate, inner, edges, patch[own], side[own], in_pieces)]] = 1.0
+    return errors
+
+
+def _lengths_keep(
     certificate: Certificate, inner: Pairs, edges: Numbers, patch: np.ndarray, side: np.ndarray, in_pieces: bool
 ) -> Bool[np.ndarray, "n"]:
-    """Whether rings keep the tolerance: those that are part of the grid, and those whose triangles are short enough."""
     holds = np.ones(len(patch), bool)
-    ringed, n, m, along = ringed_sides(inner, edges, patch, side)
-    open_ones = np.flatnonzero(ringed & (n != m))
+    _, n, m, along = ringed_sides(inner, edges, patch, side)
     reach = certificate.pattern.fine_reach if in_pieces else certificate.pattern.reach
     length = (reach[n, m] + 2.0 / ONE) / along  # a little more, for what single precision makes of them
-    for start in range(0, len(open_ones), _BLOCK):
+    for start in range(0, len(patch), _BLOCK):
         # one side after the other, so that all of a block are one call
-        block = open_ones[start : start + _BLOCK]
+        block = np.arange(start, min(start + _BLOCK, len(patch)))
         by_side = [block[side[block] == which] for which in range(4)]
         nets = []
         for which, own in enumerate(by_side):

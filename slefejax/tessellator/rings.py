@@ -8,22 +8,18 @@ compares the driver with it, and ``slefejax.gpu.measure_pattern`` measures anoth
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt64
+from jaxtyping import Bool, Float, Int
 
 from slefejax.errors import InputError
 from slefejax.tessellator.direct3d11 import ONE, places, rings
-from slefejax.tessellator.levels import GRID, HIGHEST_LEVEL, OWN_AXIS, pieces_along, with_pieces
+from slefejax.tessellator.levels import GRID, HIGHEST_LEVEL, OWN_AXIS, pieces_along, shares, with_pieces
 
 Pairs = Int[np.ndarray, "patches 2"]
 Edges = Int[np.ndarray, "patches 4"]
-# (patches, sides, inner levels across these sides) -> how long triangles may be that lie in the outermost row of cells
-# along a side, in the domain 0 ... 1; sides in OpenGL's order
-Longest = Callable[[np.ndarray, np.ndarray, np.ndarray], Float[np.ndarray, "n"]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,10 +29,12 @@ class Pattern:
     points : ``(65, 65)``, where the lines of an inner grid with n cells are, index (n, 0 ... n); 1 from there on
     reach  : ``(65, 65)``, the longest extent along an edge of the triangles between it and the inner grid, for the
              inner level n along the edge (1 acts as 2) and the edge's own level m, index (n, m)
+    known  : whether these triangles are those of Direct3D 11, so that they can be looked at one by one
     """
 
     points: Float[np.ndarray, "n lines"]
     reach: Float[np.ndarray, "n m"]
+    known: bool = False
 
     def __post_init__(self) -> None:
         """Raises InputError for tables of other sizes."""
@@ -68,6 +66,36 @@ class Pattern:
         apart = np.where(n <= n[:, None], beside, 0.0).max(axis=1)
         return self.reach + apart[:, None] + apart
 
+    def lines(self, in_pieces: bool) -> Float[np.ndarray, "n lines"]:
+        """``points``, or in a picture with patches in pieces k/n with 24 bits."""
+        return _fine_lines() if in_pieces else self.points
+
+    def ring_triangles(
+        self, side: Int[np.ndarray, "n"], inner: Pairs, edge: Int[np.ndarray, "n"], in_pieces: bool
+    ) -> tuple[Int[np.ndarray, "triangles"], Float[np.ndarray, "triangles 3 2"]]:
+        """The triangles between grids and edges of patches up to 64: whose they are, and the parameters of corners.
+
+        >>> own, corners = direct3d11().ring_triangles(np.array([1]), np.array([[2, 2]]), np.array([1]), False)
+        >>> own.tolist(), corners.tolist()
+        ([0], [[[0.0, 0.0], [1.0, 0.0], [0.5, 0.5]]])
+        """
+        lines, axis, row = self.lines(in_pieces), OWN_AXIS[side], np.arange(len(side))
+        acting = np.maximum(inner, 2)
+        pairs, which = np.unique(acting[row, axis] * (2 * ONE) + edge, return_inverse=True)
+        pair, corner = rings(*np.divmod(pairs, 2 * ONE))
+        length = np.bincount(pair, minlength=len(pairs))
+        own = np.repeat(row, length[which])
+        place = np.arange(len(own)) - np.repeat(np.cumsum(length[which]) - length[which], length[which])
+        corner = corner[(np.cumsum(length) - length)[which[own]] + place]
+        on_edge, across = corner >= 0, acting[own, 1 - axis[own]]
+        level = np.where(on_edge, edge[own, None], acting[own, axis[own]][:, None])
+        # counter-clockwise around the patch: along u at v = 0, along v at u = 1, then back
+        index = np.where(np.isin(side[own], (1, 2))[:, None], np.abs(corner), level - np.abs(corner))
+        along, beside = lines[level, index], np.where(on_edge, 0.0, lines[across, 1][:, None])
+        beside = np.where(side[own, None] >= 2, 1.0 - beside, beside)
+        flat = axis[own, None] == 0
+        return own, np.stack([np.where(flat, along, beside), np.where(flat, beside, along)], axis=2)
+
     def cells(self, levels: Int[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
         """The widest cell for levels; past 64, where patches are cut and lines are placed with 24 bits, about 1/n."""
         drawn = self.cell[np.minimum(levels, HIGHEST_LEVEL)]
@@ -87,30 +115,6 @@ class Pattern:
                 return levels
             levels = levels + wide
 
-    def edge_levels(
-        self, inner: Int[np.ndarray, "*shape"], longest: Float[np.ndarray, "*shape"]
-    ) -> UInt64[np.ndarray, "*shape"]:
-        """The levels m of an edge with which no triangle of its ring is too long, as bits m - 1.
-
-        With the level of the grid itself the ring is part of the grid: that one is always among them.
-        """
-        own, keys, sets = self._sets
-        # a little less: in a picture with patches in pieces all vertices are placed better than the pattern says
-        place = np.searchsorted(keys, inner + 0.5 * (longest - 2.0 / ONE), side="right")
-        return sets[place] | own[inner]
-
-    @cached_property
-    def _sets(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Bits of n; n + half the reach of every (n, m), in order; the bits of those of this n up to there."""
-        bits = np.uint64(1) << np.arange(HIGHEST_LEVEL, dtype=np.uint64)
-        keys, sets = [], [np.zeros(1, np.uint64)]
-        for n in range(1, HIGHEST_LEVEL + 1):
-            order = np.argsort(self.reach[n, 1:], kind="stable")
-            # reaches are at most 1, so that half of one never gets to the next n
-            keys += [[n - 0.25], n + 0.5 * self.reach[n, 1:][order]]
-            sets += [np.zeros(1, np.uint64), np.bitwise_or.accumulate(bits[order])]
-        return np.concatenate([np.zeros(2, np.uint64), bits[1:]]), np.concatenate(keys), np.concatenate(sets)
-
 
 @cache
 def direct3d11() -> Pattern:
@@ -128,32 +132,14 @@ def direct3d11() -> Pattern:
     reach = np.zeros((HIGHEST_LEVEL + 1, HIGHEST_LEVEL + 1))
     np.maximum.at(reach, (n[pair], m[pair]), np.ptp(points[level, np.abs(corners)], axis=1))
     reach[1] = reach[2]
-    return Pattern(points, reach)
+    return Pattern(points, reach, known=True)
 
 
-def safe_levels(inner: Pairs, numbers: Edges, pattern: Pattern, longest: Longest) -> tuple[Pairs, Edges]:
-    """Inner and outer levels, no smaller than ``inner``, with which no triangle of the pattern is too long.
-
-    inner   : levels whose grids, with cells as wide as the pattern's, keep the tolerance; 0 for a patch off-screen
-    numbers : equal for shared edges (``slefejax.tessellator.edges``)
-
-    An edge starts at the larger of its neighbours' levels. Where a ring reaches too far, a patch with fewer cells
-    than its edge has pieces gets more cells, and an edge with fewer pieces than the patch has cells gets more pieces.
-    Where both are equal the ring is part of the grid, so this ends. Levels beyond 64 are what pieces of the patch can
-    have (``slefejax.tessellator.levels``), each of them with a ring like that of a patch.
-    """
-    levels = np.zeros(numbers.max() + 1, np.int64)
-    np.maximum.at(levels, numbers.ravel(), inner[:, OWN_AXIS].ravel())
-    drawn = np.all(inner > 0, axis=1)
-    inner, edges = with_pieces(inner, np.where(drawn[:, None], levels[numbers], 0), numbers)
-    changed = drawn
-    while changed.any():
-        patch, side = np.nonzero(np.broadcast_to(changed[:, None], numbers.shape))
-        failing = _failing(inner, edges, patch, side, pattern, longest)
-        raised = with_better_rings(inner, edges, numbers, patch[failing], side[failing], pattern)
-        changed = np.any(raised[0] != inner, axis=1) | np.any(raised[1] != edges, axis=1)
-        inner, edges = raised
-    return inner, edges
+@cache
+def _fine_lines() -> Float[np.ndarray, "n lines"]:
+    """As ``Pattern.points``, placed with 24 bits."""
+    n = np.arange(HIGHEST_LEVEL + 1)
+    return shares(np.minimum(n, n[:, None]), n[:, None]) * GRID
 
 
 def ringed_sides(
@@ -165,16 +151,6 @@ def ringed_sides(
     row = np.arange(len(patch))
     ringed = np.any(own > 1, axis=1) | np.any(rim > 1, axis=1)
     return ringed, np.maximum(own[row, axis], 2), rim[row, side], along[row, axis]
-
-
-def _failing(
-    inner: Pairs, edges: Edges, patch: np.ndarray, side: np.ndarray, pattern: Pattern, longest: Longest
-) -> Bool[np.ndarray, "sides"]:
-    """Which rings hold a triangle that is too long."""
-    ringed, n, m, along = ringed_sides(inner, edges, patch, side)
-    across = np.maximum(inner[patch, 1 - OWN_AXIS[side]], 2)
-    sets = pattern.edge_levels(n, longest(patch, side, across) * along)
-    return ringed & (sets >> (m - 1).astype(np.uint64) & np.uint64(1) == 0)
 
 
 def with_better_rings(
