@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import os
 import sys
-import warnings
-from pathlib import Path
 from typing import Any
 
 import slefejax
 
 BAD_INPUT = 2
 INTERRUPTED = 130
-_WORTH_KEEPING = 0.1  # seconds of compilation
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -65,30 +62,12 @@ def start_jax(keep: bool) -> None:
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_enable_compilation_cache", keep)
     if keep:
-        _keep_programs()
+        slefejax.keep_programs()
     try:
         jax.devices()
     except RuntimeError as error:
         reason = str(error).splitlines()[0]
         raise InputError(f"JAX finds no device ({reason}): unset JAX_PLATFORMS, or set it to cpu") from None
-
-
-def _keep_programs() -> None:
-    """In JAX_COMPILATION_CACHE_DIR or the user's cache folder; where nothing can be written, nothing is kept."""
-    import jax
-
-    # a disk that is full or a file cut off by a kill costs time to compile, and nobody has to do anything about it
-    warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
-    folder = os.environ.get("JAX_COMPILATION_CACHE_DIR")
-    if not folder:
-        root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        folder = str(Path(root) / "slefejax" / f"jax-{jax.__version__}")
-    try:
-        Path(folder).mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return
-    jax.config.update("jax_compilation_cache_dir", folder)
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", _WORTH_KEEPING)
 
 
 def _show(report: Any) -> int:

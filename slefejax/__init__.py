@@ -21,6 +21,7 @@ from slefejax.errors import InputError, NoOpenGLError
 from slefejax.geometry.bezier import evaluate_patches
 from slefejax.geometry.packed import pack
 from slefejax.geometry.view import Camera, View
+from slefejax.lanes.programs import keep_programs
 from slefejax.late import one_at_a_time
 from slefejax.measure.covering import covering_error
 from slefejax.measure.error import drawn_error, pixel_error
@@ -93,6 +94,7 @@ __all__ = [
     "evaluate_patches",
     "fewer_triangles",
     "fit_km",
+    "keep_programs",
     "linear_blend",
     "load",
     "measure_factors",

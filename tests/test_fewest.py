@@ -9,7 +9,7 @@ import pytest
 
 from slefejax import InputError, load, tessellation_factors, triangle_error, triangulate
 from slefejax.geometry.view import View
-from slefejax.predict.fewest import fewer_triangles
+from slefejax.predict.fewest import lowered_levels
 from slefejax.tessellator.levels import triangle_counts
 from slefejax.tessellator.rings import direct3d11
 from tests.test_proved import KINDS, scene
@@ -35,7 +35,7 @@ def test_nothing_more_to_lower(teapot, main_view):
     numbers = teapot.edge_numbers
     factors = tessellation_factors(teapot.patches(), main_view, edge_numbers=numbers, levels="fewest")
     assert factors.certify is not None
-    inner, edges = fewer_triangles(factors.certify(), factors.inner, factors.edges, numbers, 1)
+    inner, edges = lowered_levels(factors.certify(), factors.inner, factors.edges, numbers, 1)
     assert np.array_equal(inner, factors.inner)
     assert np.array_equal(edges, factors.edges)
     for number in np.unique(numbers):

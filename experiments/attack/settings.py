@@ -64,6 +64,7 @@ class Setting:
 
 
 _DRAWN: dict[str, Any] = {"judged": "drawn", "levels": (4.0, 64.0), "share": (0.8, 1.0), "most": 200.0}
+_SMALL: dict[str, Any] = {"levels": (1.0, 8.0), "share": (0.5, 1.0), "most": 30.0}
 _PROVED: dict[str, Any] = {"patches": 8, "claims": 1, "levels": (2.0, 12.0), "most": 20.0}
 SETTINGS = {
     setting.name: setting
@@ -83,6 +84,9 @@ SETTINGS = {
         Setting("drawn-tiles-2", **_DRAWN),
         Setting("drawn-anisotropic", {"tiles": 1, "anisotropic": True}, patches=16, **_DRAWN),
         Setting("drawn-verify", {"tiles": 1, "verify": True}, "drawn", **_PROVED),
+        Setting("drawn-fewest", {"tiles": 1, "levels": "fewest"}, **_DRAWN),
+        Setting("drawn-small", {}, "drawn", **_SMALL),
+        Setting("drawn-small-fewest", {"levels": "fewest", "anisotropic": True}, "drawn", **_SMALL),
         Setting("drawn-float32", {"tiles": 1}, dtype=np.float32, **_DRAWN),
         Setting("drawn-past-64", {"tiles": 1}, "drawn", patches=12, levels=(57.0, 64.0), share=(0.5, 0.9), most=200.0),
     )

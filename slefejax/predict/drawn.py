@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Int
 
 from slefejax.predict.certificate import Certificate
-from slefejax.predict.fewest import fewer_triangles
+from slefejax.predict.fewest import lowered_levels
 from slefejax.predict.proved import proved_levels
 from slefejax.tessellator.levels import HIGHEST_LEVEL, OWN_AXIS, with_pieces
 
@@ -32,7 +32,7 @@ def drawn_levels(
     """
     grids = small_grids(certificate, anisotropic)
     inner, edges = proved_levels(certificate, *with_pieces(grids, _larger(grids, numbers), numbers), numbers, grids)
-    return fewer_triangles(certificate, inner, edges, numbers, _ROUNDS if fewest else 2)
+    return lowered_levels(certificate, inner, edges, numbers, _ROUNDS if fewest else 2)
 
 
 def small_grids(certificate: Certificate, anisotropic: bool) -> Pairs:

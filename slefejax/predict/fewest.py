@@ -21,7 +21,7 @@ Pairs = Int[np.ndarray, "patches 2"]
 Numbers = Int[np.ndarray, "patches 4"]
 
 
-def fewer_triangles(
+def lowered_levels(
     certificate: Certificate, inner: Pairs, edges: Numbers, numbers: Numbers, rounds: int
 ) -> tuple[Pairs, Numbers]:
     """Inner and edge levels, no higher than those given, that are proved if those are.
