@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slefejax import InputError, load, tessellation_factors, triangle_error, triangulate
+from slefejax import InputError, cameras_around, load, tessellation_factors, triangle_error, triangulate
 from slefejax.geometry.view import View
 from slefejax.predict.fewest import lowered_levels
 from slefejax.tessellator.levels import triangle_counts
 from slefejax.tessellator.rings import direct3d11
+from tests.test_drawn import flat_on, quadratics
 from tests.test_proved import KINDS, scene
 
 
@@ -71,3 +72,29 @@ def test_ways_that_there_are(teapot, main_view):
         tessellation_factors(teapot.patches(), main_view, levels="slow")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="levels"):
         tessellation_factors(teapot.patches(), main_view, "slefe", levels="fast")
+
+
+def test_a_patch_of_one_cell_beside_one_that_is_cut():
+    """Three edges that could be 1 if the fourth were: while that one stays cut the patch is a fan around its middle."""
+    found = []
+    for bend in np.linspace(1.0, 4.2, 33):
+        patches = quadratics([bend, 40.0], [0.0, 0.0], [-bend, 0.0])
+        numbers = np.array([[0, 1, 2, 3], [0, 4, 5, 6]])
+        view = flat_on(200.0)
+        factors = tessellation_factors(patches, view, tiles=1, edge_numbers=numbers, levels="fewest")
+        found.append(triangle_error(patches, triangulate(patches, factors), view).max())
+    assert max(found) <= 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["walker", "spot_control_mesh.obj", "suzanne.obj", "rational_torus.bv", "fox.glb"])
+@pytest.mark.parametrize("way", ["fast", "fewest"])
+def test_real_models_hold(models, name, way):
+    shown = load(name if name == "walker" else models / name)
+    for view in (View(shown.default_camera(), 1440, 900), *cameras_around(shown, 1440, 900, 3)):
+        for anisotropic in (False, True):
+            for tolerance in (0.1, 0.5, 2.0):
+                options = {"tolerance": tolerance, "anisotropic": anisotropic, "levels": way}
+                factors = tessellation_factors(shown.patches(), view, edge_numbers=shown.edge_numbers, **options)
+                made = triangulate(shown.patches(), factors)
+                assert triangle_error(shown.patches(), made, view).max() <= tolerance

@@ -7,14 +7,14 @@ lowered at once, and as long as no edge changes, all grids.
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
 from slefejax.predict.certificate import Certificate
 from slefejax.predict.proved import acting, ring_errors
 from slefejax.tessellator.levels import HIGHEST_LEVEL, OWN_AXIS, pieces_along
 
 _SMALLER = ((1, 0), (0, 1))  # cells less along u and v
-_ALLOWED = 0.9  # of an error that is known to be allowed, and no more
+_ALLOWED = 0.9  # stands for the error of a ring that is part of a grid: that is allowed, and no more is known
 _FAR_TOO_LARGE = 1e6  # an error
 
 Pairs = Int[np.ndarray, "patches 2"]
@@ -66,26 +66,18 @@ def _lower_edges(
     while np.any(open_ones := (failed < trial) & (trial < found)):
         patch, side = np.nonzero(open_ones[numbers] & sides)
         number, error = numbers[patch, side], np.zeros(len(found))
-        lower = np.where(edges > 0, np.where(open_ones, trial, found)[numbers], 0)
-        np.maximum.at(error, number, _sides_err(certificate, inner, lower, patch, side, in_pieces))
+        now, lower = (np.where(edges > 0, own[numbers], 0) for own in (found, np.where(open_ones, trial, found)))
+        # which of the others will be lowered is not known yet: as long as one is cut, 1 acts as 2
+        fits = acting(inner, now)[patch, OWN_AXIS[side]] == lower[patch, side]
+        np.maximum.at(error, number[fits], _ALLOWED)
+        own = patch[~fits], side[~fits]
+        np.maximum.at(error, number[~fits], ring_errors(certificate, inner, lower, *own, in_pieces))
         fine = error <= 1.0
         found = np.where(open_ones & fine, trial, found)
         failed = np.where(open_ones & ~fine, trial, failed)
         guess = np.ceil(trial * np.sqrt(np.minimum(error, _FAR_TOO_LARGE))).astype(np.int64)
         trial = np.where(open_ones, np.maximum(guess, failed + 1), trial)
     return np.where(edges > 0, found[numbers], 0)
-
-
-def _sides_err(
-    certificate: Certificate, inner: Pairs, edges: Numbers, patch: np.ndarray, side: np.ndarray, in_pieces: bool
-) -> Float[np.ndarray, "n"]:
-    """At most how far rings along sides err, over what is allowed; a little less for parts of grids."""
-    error = np.full(len(patch), _ALLOWED)
-    # with its other edges as they are a patch that is cut stays so: level 1 acts as 2
-    grids = acting(inner[patch], edges[patch])[np.arange(len(patch)), OWN_AXIS[side]]
-    own = np.flatnonzero(grids != edges[patch, side])
-    error[own] = ring_errors(certificate, inner, edges, patch[own], side[own], in_pieces)
-    return error
 
 
 def _smaller_grids(
