@@ -25,7 +25,7 @@ def asked(seed, kind, **options):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_fewest_are_few_and_hold(kind):
-    for seed in range(3):
+    for seed in range(2):
         (_, fast, error), (_, fewest, other) = (asked(seed, kind, levels=way) for way in ("fast", "fewest"))
         assert fewest <= fast
         assert max(error, other) <= 0.5
@@ -57,10 +57,10 @@ def test_how_few(name):
     assert counts["fast"] <= 1.1 * wanted
 
 
-@pytest.mark.parametrize("way", ["fast", "fewest"])
+@pytest.mark.parametrize("way", ["fast", pytest.param("fewest", marks=pytest.mark.slow)])
 def test_rings_of_which_only_the_length_is_known(way):
     """A pattern that was measured and is not Direct3D 11's: more triangles, and they hold."""
-    for seed in range(3):
+    for seed in range(2):
         _, known, _ = asked(seed, "cubics", levels=way)
         _, measured, error = asked(seed, "cubics", levels=way, pattern=replace(direct3d11(), known=False))
         assert known <= measured
@@ -77,7 +77,7 @@ def test_ways_that_there_are(teapot, main_view):
 def test_a_patch_of_one_cell_beside_one_that_is_cut():
     """Three edges that could be 1 if the fourth were: while that one stays cut the patch is a fan around its middle."""
     found = []
-    for bend in np.linspace(1.0, 4.2, 33):
+    for bend in np.linspace(1.0, 4.2, 9):
         patches = quadratics([bend, 40.0], [0.0, 0.0], [-bend, 0.0])
         numbers = np.array([[0, 1, 2, 3], [0, 4, 5, 6]])
         view = flat_on(200.0)
