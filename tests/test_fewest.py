@@ -23,7 +23,7 @@ def asked(seed, kind, **options):
     return factors, triangle_counts(factors.inner, factors.edges).sum(), error
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [pytest.param(KINDS[0], marks=pytest.mark.slow), *KINDS[1:]])
 def test_fewest_are_few_and_hold(kind):
     for seed in range(2):
         (_, fast, error), (_, fewest, other) = (asked(seed, kind, levels=way) for way in ("fast", "fewest"))

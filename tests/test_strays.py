@@ -211,6 +211,7 @@ def test_slivers_are_moved_into_their_triangles(device):
 
 
 @pytest.mark.gl
+@pytest.mark.slow
 def test_a_planted_offset_is_slip_and_no_error(device, teapot, main_view, monkeypatch):
     """A driver that interpolates u as it is a little further on."""
     from slefejax.gpu import programs
