@@ -23,6 +23,7 @@ from slefejax.lanes import loops, nets, passes
 from slefejax.lanes.maxima import larger, smaller
 from slefejax.lanes.nets import Lanes, Net
 from slefejax.lanes.tuning import TUNING
+from slefejax.tessellator.direct3d11 import ragged
 
 _THIRD = ((3, 0, 1.0), (2, 1, 3.0), (1, 2, 3.0), (0, 3, 1.0))  # d/du, d/dv, multiplicity
 # How far quadratic interpolation on a triangle in the unit square errs: for a constant third derivative of size 1,
@@ -112,12 +113,10 @@ class Pictures:
 def _blocks(page: np.ndarray, size: int) -> Int[np.ndarray, "blocks size"]:
     """Which items are looked at together: so many, of one page; what is missing is the last one again."""
     order = np.argsort(page, kind="stable")
-    counts = np.bincount(page, minlength=1)
-    blocks = -(-counts // size)
-    start = np.repeat(np.cumsum(counts) - counts, blocks)
-    number = np.arange(blocks.sum()) - np.repeat(np.cumsum(blocks) - blocks, blocks)
-    last = np.repeat(np.cumsum(counts), blocks) - 1
-    return order[np.minimum((start + number * size)[:, None] + np.arange(size), last[:, None])]
+    counts = np.bincount(page)
+    ends, (own, number) = np.cumsum(counts), ragged(-(-counts // size))
+    start = (ends - counts)[own] + number * size
+    return order[np.minimum(start[:, None] + np.arange(size), ends[own, None] - 1)]
 
 
 def cell_errors(

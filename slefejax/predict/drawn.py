@@ -8,7 +8,8 @@ from jaxtyping import Int
 from slefejax.predict.certificate import Certificate
 from slefejax.predict.fewest import lowered_levels
 from slefejax.predict.proved import proved_levels
-from slefejax.tessellator.levels import HIGHEST_LEVEL, OWN_AXIS, with_pieces
+from slefejax.tessellator.edges import edge_maxima
+from slefejax.tessellator.levels import HIGHEST_LEVEL, with_pieces
 
 _HIGHEST_TRIED = 96  # of a level that 64 might do for
 _FAR_TOO_LARGE = 1e6  # an error
@@ -31,7 +32,7 @@ def drawn_levels(
     they are proved, and raised where they are not (``slefejax.predict.proved``).
     """
     grids = small_grids(certificate, anisotropic)
-    inner, edges = proved_levels(certificate, *with_pieces(grids, _larger(grids, numbers), numbers), numbers, grids)
+    inner, edges = proved_levels(certificate, *with_pieces(grids, edge_maxima(grids, numbers), numbers), numbers, grids)
     return lowered_levels(certificate, inner, edges, numbers, _ROUNDS if fewest else 2)
 
 
@@ -108,10 +109,3 @@ def _least(certificate: Certificate, patch: np.ndarray, axis: int, fixed: np.nda
         found = np.where(open_ones & fine, middle, found)
         failed = np.where(open_ones & ~fine, middle, failed)
     return np.where((found > 0)[:, None], pair(found), 0)
-
-
-def _larger(inner: Pairs, numbers: Numbers) -> Numbers:
-    """For every edge the larger of its neighbours' levels along it; 0 on those of unseen patches."""
-    largest = np.zeros(numbers.max() + 1, np.int64)
-    np.maximum.at(largest, numbers.ravel(), inner[:, OWN_AXIS].ravel())
-    return np.where(np.all(inner > 0, axis=1)[:, None], largest[numbers], 0)

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from slefejax.predict.certificate import Certificate
-from slefejax.predict.proved import acting, ring_errors
-from slefejax.tessellator.levels import HIGHEST_LEVEL, OWN_AXIS, pieces_along
+from slefejax.predict.proved import acting, has_pieces, ring_errors
+from slefejax.tessellator.levels import OWN_AXIS, pieces_along
 
 _SMALLER = ((1, 0), (0, 1))  # cells less along u and v
 _ALLOWED = 0.9  # stands for the error of a ring that is part of a grid: that is allowed, and no more is known
@@ -33,7 +33,7 @@ def lowered_levels(
     """
     seen = np.all(edges > 0, axis=1)
     whole = seen & np.all(pieces_along(inner, edges) == 1, axis=1)
-    in_pieces = bool(max(inner.max(initial=0), edges.max(initial=0)) > HIGHEST_LEVEL)
+    in_pieces = has_pieces(inner, edges)
     free = ~np.isin(numbers, numbers[seen & ~whole]) & whole[:, None]
     patches, sides = whole, free
     for _ in range(rounds):

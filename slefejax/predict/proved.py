@@ -38,7 +38,7 @@ def proved_levels(
     while changed.any():
         _check_drawable(inner, edges)
         before = inner, edges
-        in_pieces = was_in_pieces = _has_pieces(inner, edges)
+        in_pieces = was_in_pieces = has_pieces(inner, edges)
         patch = np.flatnonzero(changed)
         grids = acting(inner[patch], edges[patch])
         asked = ~np.all(inner[patch] >= safe[patch], axis=1) & (in_pieces | np.any(grids != known[patch], axis=1))
@@ -49,12 +49,12 @@ def proved_levels(
         if not fine.all():
             inner = _raised(certificate, inner, patch[~fine], grids[~fine], tries, safe)
             inner, edges = with_pieces(inner, edges, numbers)
-        in_pieces |= _has_pieces(inner, edges)
+        in_pieces |= has_pieces(inner, edges)
         patch, side = _ringed(inner, edges, changed)
         failing = ring_errors(certificate, inner, edges, patch, side, in_pieces) > 1.0
         inner, edges = with_better_rings(inner, edges, numbers, patch[failing], side[failing], certificate.pattern)
         changed = np.any(inner != before[0], axis=1) | np.any(edges != before[1], axis=1)
-        if not was_in_pieces and _has_pieces(inner, edges):
+        if not was_in_pieces and has_pieces(inner, edges):
             changed = np.all(edges > 0, axis=1)  # vertices of all patches are placed otherwise
     return inner, edges
 
@@ -73,7 +73,12 @@ def _raised(
     return inner
 
 
-def _has_pieces(inner: Pairs, edges: Numbers) -> bool:
+def has_pieces(inner: Pairs, edges: Numbers) -> bool:
+    """Whether a patch is drawn in pieces.
+
+    >>> has_pieces(np.array([[65, 3]]), np.array([[3, 65, 3, 65]]))
+    True
+    """
     return bool(max(inner.max(), edges.max()) > HIGHEST_LEVEL)
 
 

@@ -133,12 +133,12 @@ def tessellate(inner: Real[np.ndarray, "n 2"], outer: Real[np.ndarray, "n 4"], s
     point, segments = np.zeros((len(patch), 2), np.int64), np.ones((len(patch), 2), np.int64)
     levels = np.ones((len(patch), 2))
     for side in AROUND:
-        own, k = _ragged(cut.edge[:, side])
+        own, k = ragged(cut.edge[:, side])
         at, axis = cut.offset[own, side] + k, OWN_AXIS[side]
         segments[at, axis], levels[at, axis] = cut.edge[own, side], cut.outer[own, side]
         point[at, axis] = k if side in (1, 2) else cut.edge[own, side] - k
         point[at, 1 - axis] = side >= 2
-    own, k = _ragged(cut.grid)
+    own, k = ragged(cut.grid)
     at = cut.offset[own, 4] + k
     segments[at], levels[at] = cut.along[own], cut.inner[own]
     point[at] = np.stack(np.divmod(k, cut.along[own, 1] - 1), axis=1) + 1
@@ -193,8 +193,12 @@ class _Cut(NamedTuple):
         return np.where(last_of_all, self.offset[patch, AROUND[0]], self.offset[patch, side] + k)
 
 
-def _ragged(counts: Whole) -> tuple[Whole, Whole]:
-    """(whose, which of its own) for so many things each."""
+def ragged(counts: Whole) -> tuple[Whole, Whole]:
+    """(whose, which of its own) for so many things each.
+
+    >>> [x.tolist() for x in ragged(np.array([2, 1]))]
+    [[0, 0, 1], [0, 1, 0]]
+    """
     owner = np.repeat(np.arange(len(counts)), counts)
     return owner, np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
 
@@ -213,7 +217,7 @@ def _rings(cut: _Cut, side: int) -> tuple[Whole, Ring]:
     levels, which = np.unique(levels, return_inverse=True)
     pair, corners = rings(*np.divmod(levels, 2 * ONE))
     length = np.bincount(pair, minlength=len(levels))
-    own, k = _ragged(length[which])
+    own, k = ragged(length[which])
     corner = corners[(np.cumsum(length) - length)[which[own]] + k]
     patch = patch[own]
     edge, rim = (at(patch[:, None], side, np.abs(corner)) for at in (cut.on_edge, cut.on_rim))
@@ -226,7 +230,7 @@ def _cells(cut: _Cut) -> tuple[Whole, Ring]:
     Diagonals go from the middle outwards, clockwise or counter-clockwise, so that quarters of a patch are mirrored.
     """
     inside = np.maximum(cut.along - 2, 0)
-    patch, k = _ragged(inside.prod(axis=1))
+    patch, k = ragged(inside.prod(axis=1))
     i, j = np.divmod(k, np.maximum(inside[patch, 1], 1))
     i, j, (n_u, n_v) = i + 1, j + 1, cut.along[patch].T
     rising = np.where(2 * j + 1 < n_v, 2 * i < n_u, 2 * i + 1 >= n_u) & (2 * j + 1 != n_v)

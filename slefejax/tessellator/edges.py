@@ -34,6 +34,7 @@ from jaxtyping import Bool, Float, Int, Real, Shaped
 from slefejax.arguments import whole_numbers
 from slefejax.errors import InputError
 from slefejax.geometry.bezier import elevate
+from slefejax.tessellator.levels import OWN_AXIS
 
 EDGES = ("u=0", "v=0", "u=1", "v=1")
 _ROUNDING = 8  # eps: points of both sides and of the raised one are rounded once each, and in each step of raising
@@ -208,15 +209,18 @@ def check_edge_numbers(numbers: Any, count: int) -> Int[np.ndarray, "patches 4"]
 
 
 def edge_maxima(
-    levels: Real[np.ndarray, "patches"], edges: Int[np.ndarray, "patches 4"]
+    levels: Real[np.ndarray, "patches"] | Real[np.ndarray, "patches 2"], edges: Int[np.ndarray, "patches 4"]
 ) -> Real[np.ndarray, "patches 4"]:
     """For every edge the largest level of the patches that share it; 0 on the edges of a patch with level 0.
+
+    levels : the same along u and v, or one along each, of which an edge gets that along it
 
     [YBP12], section 6 (docs/math.md, 3): a visible patch keeps its own level where its neighbour is not drawn.
 
     >>> edge_maxima(np.array([3, 5]), np.array([[0, 1, 2, 3], [2, 4, 5, 6]])).tolist()
     [[3, 3, 5, 3], [5, 5, 5, 5]]
     """
+    along = np.repeat(levels[:, None], 4, axis=1) if levels.ndim == 1 else levels[:, OWN_AXIS]
     largest = np.zeros(edges.max() + 1, levels.dtype)
-    np.maximum.at(largest, edges.ravel(), np.repeat(levels, 4))
-    return np.where(levels[:, None] > 0, largest[edges], 0)
+    np.maximum.at(largest, edges.ravel(), along.ravel())
+    return np.where(np.all(along > 0, axis=1)[:, None], largest[edges], 0)

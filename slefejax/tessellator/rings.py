@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from slefejax.errors import InputError
-from slefejax.tessellator.direct3d11 import ONE, places, rings
+from slefejax.tessellator.direct3d11 import ONE, places, ragged, rings
 from slefejax.tessellator.levels import GRID, HIGHEST_LEVEL, OWN_AXIS, pieces_along, shares, with_pieces
 
 Pairs = Int[np.ndarray, "patches 2"]
@@ -84,8 +84,7 @@ class Pattern:
         pairs, which = np.unique(acting[row, axis] * (2 * ONE) + edge, return_inverse=True)
         pair, corner = rings(*np.divmod(pairs, 2 * ONE))
         length = np.bincount(pair, minlength=len(pairs))
-        own = np.repeat(row, length[which])
-        place = np.arange(len(own)) - np.repeat(np.cumsum(length[which]) - length[which], length[which])
+        own, place = ragged(length[which])
         corner = corner[(np.cumsum(length) - length)[which[own]] + place]
         on_edge, across = corner >= 0, acting[own, 1 - axis[own]]
         level = np.where(on_edge, edge[own, None], acting[own, axis[own]][:, None])
