@@ -2,7 +2,8 @@
 
 The two passes of [YBP14], section 4, compiled apart: the *pose pass* makes control points (shape
 keys, skinning, conversion) and, for the method that needs them, their slefe boxes; the *view pass* makes factors of
-them. A pose that is the same leaves the first one out, a view that is the same too the second one as well. What a scene
+them. A pose that is the same leaves the first one out, a view that is the same too the second one as well. Where the
+view is the same and some patches have not moved, what is known of their levels is kept. What a scene
 or a method has no need of is not part of the programs at all (``Session.left_out``, ``Session.programs``).
 """
 
@@ -25,6 +26,7 @@ from slefejax.geometry.packed import Packed, chunks_of
 from slefejax.geometry.projection import Projection
 from slefejax.geometry.view import View, check_view
 from slefejax.lanes import layout
+from slefejax.lanes.memory import Memory
 from slefejax.model.rig import Deformation, Pose, check_time
 from slefejax.model.skinning import Influences
 from slefejax.model.stencils import StencilTable
@@ -100,6 +102,7 @@ class Session:
         self._prepared: Prepared | None = None
         self._patches: np.ndarray | None = None
         self._seen: tuple[_Snapshot, Factors] | None = None
+        self._known: _Known | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         """For pickle and copy: what was computed, without what is compiled or made of the scene.
@@ -137,7 +140,9 @@ class Session:
         looked = self._seen is None or not _same(self._seen[0], view)
         if looked:
             self._seen = None
-            self._seen = (_snapshot(view), self._timed("view", lambda: self._look(view)))
+            check_view(view)
+            known = self._known = self._still_known(view)
+            self._seen = (known.view, self._timed("view", lambda: self._look(view, known.memory)))
         assert self._seen is not None
         self.recomputed = ("pose",) * moved + ("view",) * looked
         return self._seen[1]
@@ -250,9 +255,18 @@ class Session:
         vertices = rig.posed(tables.rest, pose, self._deform)
         return chunks_of(tables.points(vertices if tables.first is None else tables.first(vertices)), tables.net)
 
-    def _look(self, view: View) -> Factors:
-        check_view(view)
-        return predicted(self.request, self._prepared, view, self.scene.edge_numbers)
+    def _still_known(self, view: View) -> _Known:
+        """What is known of the levels of the patches that are now to be seen so."""
+        assert self._prepared is not None
+        chunks, count = self._prepared.packed.chunks, len(self._prepared.packed)
+        at, memory, before = _snapshot(view), Memory(), self._known
+        if before is not None and _same(before.view, view):
+            same = np.all(np.asarray(before.chunks) == np.asarray(chunks), axis=(1, 2, 3))
+            memory = before.memory.after(same.ravel()[:count])
+        return _Known(at, chunks, memory)
+
+    def _look(self, view: View, memory: Memory) -> Factors:
+        return predicted(self.request, self._prepared, view, self.scene.edge_numbers, memory)
 
     def _timed(self, part: str, work: Callable[[], Any]) -> Any:
         start = clock.perf_counter()
@@ -260,6 +274,14 @@ class Session:
         jax.block_until_ready(found)
         self.seconds[part] = clock.perf_counter() - start
         return found
+
+
+class _Known(NamedTuple):
+    """What is known of the levels of patches in a view."""
+
+    view: _Snapshot
+    chunks: Any
+    memory: Memory
 
 
 class _Snapshot(NamedTuple):

@@ -7,6 +7,7 @@ import pytest
 
 from slefejax import Camera, InputError, View, sampled_error, tessellation_factors
 from slefejax.geometry.projection import Projection
+from slefejax.lanes.memory import Memory
 from slefejax.predict.cells import Pictured, Pictures, grid_errors
 from slefejax.predict.certificate import Certificate
 from slefejax.tessellator.rings import direct3d11
@@ -109,7 +110,7 @@ def test_all_smaller_boxes_hold(rng):
     projection = Projection.of(view)
     near = projection.relative(quadratics(a, b, c), axis=-1)
     given = lambda: (near, projection)  # noqa: E731
-    certificate = Certificate(given, (0.5, None), 1, PATTERN, np.ones(300), Pictures(None, 300))  # type: ignore
+    certificate = Certificate(given, (0.5, None), 1, PATTERN, np.ones(300), Pictures(None, 300), Memory())  # type: ignore
     levels = certificate.for_all_boxes(np.arange(300), np.ones((300, 2), int))
     for more in rng.integers(0, 30, (20, 2)):
         assert exact_errors(a, b, c, np.minimum(levels + more, 64)).max() <= 0.5

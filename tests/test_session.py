@@ -25,6 +25,7 @@ from slefejax import (
 )
 from slefejax.model.rig import Rig, Skeleton
 from slefejax.model.skinning import Influences, rotation_matrices
+from slefejax.predict.cells import Pictures
 from slefejax.scene import Scene
 from slefejax.session import PARTS
 from tests.meshes import cube
@@ -249,6 +250,37 @@ def test_factors_of_a_pose_that_is_gone():
     assert np.array_equal(first.edges, wanted.edges)
     assert np.array_equal(first.inner, wanted.inner)
     assert not np.array_equal(first.edges, session.factors(view, Pose(joints)).edges)
+
+
+@pytest.mark.parametrize("method", [{}, {"anisotropic": True, "levels": "fewest"}])
+def test_levels_of_patches_that_stand_still_are_kept(walker, view, method, monkeypatch):
+    """The same levels as without a session, and fewer cells and triangles to look at; all of them in another view."""
+    looked = []
+    through = Pictures.through
+    monkeypatch.setattr(
+        Pictures, "through", lambda own, c, patch, *rest: looked.append(len(patch)) or through(own, c, patch, *rest)
+    )
+
+    def work(found):
+        looked.clear()
+        levels = found.inner, found.edges
+        return sum(looked), levels
+
+    session = Session(walker, **method)
+    local = np.array(walker.rig.pose(2.0).local)
+    work(session.factors(view, Pose(local)))
+    local[-1, :3, :3] = local[-1, :3, :3] @ [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    for _ in range(2):
+        count, levels = work(session.factors(view, Pose(local)))
+        assert session.recomputed == ("pose", "view")
+        wanted = tessellation_factors(session.patches, view, edge_numbers=walker.edge_numbers, **method)
+        anew, others = work(wanted)
+        assert 0 < count < 0.5 * anew
+        assert all(np.array_equal(a, b) for a, b in zip(levels, others, strict=True))
+        local[-1, :3, 3] += 0.01
+    nearer = replace(view, camera=replace(view.camera, extent=0.9 * view.camera.extent))
+    found = work(session.factors(nearer, Pose(local)))[0]
+    assert found == work(tessellation_factors(session.patches, nearer, edge_numbers=walker.edge_numbers, **method))[0]
 
 
 def test_float32(walker, view):

@@ -219,6 +219,18 @@ def certified_one(at: Setting) -> Work:
     return Work(at.seen(Certified(1)), at.count, "patches", {"slefe estimate": at.seen(_ESTIMATE)})
 
 
+def levels(at: Setting) -> Work:
+    """Control points to the levels that are drawn: of the walkers, framed, as shaken teapots are no mesh."""
+    patches, numbers = pack(at.walker.patches()), at.walker.edge_numbers
+    view = View(at.walker.default_camera(), 1440, 900)
+
+    def factors() -> Any:
+        return tessellation_factors(patches, view, tolerance=TOLERANCE, edge_numbers=numbers)
+
+    peer = {"their factors": lambda: factors().factor}
+    return Work(lambda: factors().inner, len(patches), "patches", peer)
+
+
 def gradient(at: Setting) -> Work:
     """The gradient of the sum of the estimate's factors by all control points; its peer is the factors alone."""
     return _gradient(at, _ESTIMATE)
@@ -289,6 +301,7 @@ STAGES: dict[str, Callable[[Setting], Work]] = {
     "fused": fused,
     "certified, 1 tile": certified_one,
     "certified": certified,
+    "levels": levels,
     "gradient": gradient,
     "certified gradient": certified_gradient,
     "draw": draw,
@@ -297,5 +310,5 @@ STAGES: dict[str, Callable[[Setting], Work]] = {
     "sup error": sup_error,
 }
 ONCE = ("table",)  # does not depend on the number of patches
-DOUBLE = ("table", "draw", "read-back", "error image", "sup error")  # in double precision, or none
+DOUBLE = ("table", "levels", "draw", "read-back", "error image", "sup error")  # in double precision, or none
 OPENGL = ("draw", "read-back", "error image", "sup error")

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from slefejax.bounds.triangles import AnyTriangle, HalfCells
 from slefejax.geometry.projection import Projection
 from slefejax.lanes import layout, loops, passes
+from slefejax.lanes.memory import Memory
 from slefejax.lanes.tuning import TUNING
 from slefejax.predict.cells import Pictures, grid_errors, triangle_errors
 from slefejax.predict.certified import certified_factor
@@ -32,6 +33,7 @@ class Certificate:
     pattern    : of the tessellator
     factor     : ``(patches,)``, what they are, from which on the theorem holds on even grids
     pictures   : the same patches, for cells and triangles that are looked at one by one (``slefejax.predict.cells``)
+    memory     : what is known of cells and triangles of the same patches in the same view
     scale      : that of ``Factors.scaled``: what is proved for n is taken for scale times n, and errors of 1/scale^2
                  times the tolerance are allowed
     """
@@ -42,6 +44,7 @@ class Certificate:
     pattern: Pattern
     factor: Float[np.ndarray, "patches"]
     pictures: Pictures
+    memory: Memory
     scale: float = 1.0
 
     @cached_property
@@ -104,16 +107,24 @@ class Certificate:
         self, patch: Int[np.ndarray, "n"], levels: Int[np.ndarray, "n 2"], in_pieces: bool = False
     ) -> Float[np.ndarray, "n"]:
         """At most how far visible points of grids with up to 64 lines err, over what is allowed."""
-        return self.scale**2 * grid_errors(self.pictures, patch, levels, self.pattern.lines(in_pieces))
+        lines = self.pattern.lines(in_pieces)
+        given = [*levels.T, np.full(len(patch), in_pieces)]
+        find = lambda own: grid_errors(self.pictures, patch[own], levels[own], lines)  # noqa: E731
+        return self.scale**2 * self.memory.recall("grids", patch, given, find)
 
     def ring_errors(
         self, patch: np.ndarray, side: np.ndarray, inner: Int[np.ndarray, "n 2"], edge: np.ndarray, in_pieces: bool
     ) -> Float[np.ndarray, "n"]:
         """The same of the triangles between grids and edges, of patches that are drawn whole."""
-        own, corners = self.pattern.ring_triangles(side, inner, edge, in_pieces)
-        worst = np.zeros(len(patch))
-        np.maximum.at(worst, own, triangle_errors(self.pictures, patch[own], corners))
-        return self.scale**2 * worst
+
+        def find(ring: np.ndarray) -> np.ndarray:
+            own, corners = self.pattern.ring_triangles(side[ring], inner[ring], edge[ring], in_pieces)
+            worst = np.zeros(len(ring))
+            np.maximum.at(worst, own, triangle_errors(self.pictures, patch[ring][own], corners))
+            return worst
+
+        given = [side, *inner.T, edge, np.full(len(patch), in_pieces)]
+        return self.scale**2 * self.memory.recall("rings", patch, given, find)
 
     def triangles_keep(
         self, nets: Float[np.ndarray, "n nu nv dim"], along: Int[np.ndarray, "n"], length: Float[np.ndarray, "n"]

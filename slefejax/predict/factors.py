@@ -19,6 +19,7 @@ from slefejax.geometry.packed import Packed, pack
 from slefejax.geometry.projection import Projection
 from slefejax.geometry.view import View, check_view
 from slefejax.lanes import layout
+from slefejax.lanes.memory import Memory
 from slefejax.predict.cells import Pictured, Pictures, verified_factors
 from slefejax.predict.certificate import Certificate
 from slefejax.predict.drawn import drawn_levels, small_grids
@@ -220,8 +221,13 @@ def prepared_by(method: Method, packed: Packed) -> Prepared:
     return Prepared(packed, method.prepare(packed.patches()))
 
 
-def predicted(request: Request, patches: Any, view: View, edge_numbers: Any = None) -> Factors:
-    """``tessellation_factors`` of what was checked: of ``prepared_by``'s result, or of packed patches at once."""
+def predicted(
+    request: Request, patches: Any, view: View, edge_numbers: Any = None, memory: Memory | None = None
+) -> Factors:
+    """``tessellation_factors`` of what was checked: of ``prepared_by``'s result, or of packed patches at once.
+
+    memory : what is known of the levels of these patches in this view
+    """
     method, tolerances = request
     if isinstance(method, Kernel):
         prepared = Prepared.of(patches)
@@ -229,7 +235,7 @@ def predicted(request: Request, patches: Any, view: View, edge_numbers: Any = No
     else:
         prepared = patches if isinstance(patches, Prepared) else prepared_by(method, patches)
         factor = _of_ones_own(method, method.factor(prepared.made, view, tolerances), len(prepared.packed))
-    return _settled(factor, request, prepared, view, edge_numbers)
+    return _settled(factor, request, prepared, view, edge_numbers, memory)
 
 
 def _checked(edge_numbers: Any, packed: Packed) -> Any:
@@ -254,7 +260,9 @@ def _of_ones_own(method: Method, factor: Any, count: int) -> Any:
     return factor
 
 
-def _settled(factor: Any, request: Request, prepared: Prepared, view: View, edge_numbers: Any) -> Factors:
+def _settled(
+    factor: Any, request: Request, prepared: Prepared, view: View, edge_numbers: Any, memory: Memory | None = None
+) -> Factors:
     """Factors with what their levels need; of certified ones also whole numbers, where they are asked for."""
     method, tolerances = request
     if isinstance(factor, Tracer):
@@ -265,7 +273,7 @@ def _settled(factor: Any, request: Request, prepared: Prepared, view: View, edge
     _check_result(np.asarray(factor), packed.patches)
     if not isinstance(method, Certified):
         return Factors(factor, request, packed, edge_numbers)
-    certify = _Certify(method, packed, view, tolerances, np.asarray(factor))
+    certify = _Certify(method, packed, view, tolerances, np.asarray(factor), memory or Memory())
     if method.verify:
         factor = verified_factors(np.asarray(factor), certify().pictures)
     pairs = small_grids(certify(), anisotropic=True) if method.anisotropic else None
@@ -281,6 +289,7 @@ class _Certify:
     view: View
     tolerances: Tolerances
     factor: np.ndarray
+    memory: Memory
 
     def __call__(self) -> Certificate:
         return self._certificate
@@ -293,7 +302,7 @@ class _Certify:
             self.method.drawn_with,
             Pictures(self._on_screen, len(self.packed)),
         )
-        return Certificate(self._given, tolerances, tiles, pattern, self.factor, pictures)
+        return Certificate(self._given, tolerances, tiles, pattern, self.factor, pictures, self.memory)
 
     def _given(self) -> tuple[np.ndarray, Projection]:
         chunks, projection = self.packed.placed(self.view)
