@@ -18,7 +18,8 @@ from slefejax.bounds.widths import screen_twists, screen_widths
 from slefejax.cameras import cameras_around
 from slefejax.conversion.scheme import Conversion, convert
 from slefejax.errors import InputError, NoOpenGLError
-from slefejax.geometry.bezier import evaluate_patches
+from slefejax.geometry.evaluate import evaluate_patches
+from slefejax.geometry.gregory import GregoryPatches
 from slefejax.geometry.packed import pack
 from slefejax.geometry.view import Camera, View
 from slefejax.lanes.programs import keep_programs

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 from difflib import get_close_matches
 from importlib import import_module
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, overload, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -259,14 +259,27 @@ def floating(values: Any) -> Array | np.ndarray:
     return whole
 
 
-def check_patches(patches: Any, dims: tuple[int, ...] | None = (3, 4)) -> Array | np.ndarray:
+@overload
+def check_patches(patches: Any, dims: tuple[int, ...] | None = ...) -> Array | np.ndarray: ...
+@overload
+def check_patches(patches: Any, dims: tuple[int, ...] | None = ..., *, gregory: Literal[True]) -> Any: ...
+def check_patches(patches: Any, dims: tuple[int, ...] | None = (3, 4), *, gregory: bool = False) -> Any:
     """Patches as a floating-point array of rank 4, or InputError that says what is wrong with its shape.
+
+    gregory : whether ``GregoryPatches`` will do, which are returned as they are
 
     >>> check_patches(np.zeros((2, 4, 4, 2)))
     Traceback (most recent call last):
         ...
     slefejax.errors.InputError: control points must have 3 or 4 coordinates, not 2
     """
+    patches = patches.patches() if hasattr(patches, "chunks") else patches  # packed ones
+    if hasattr(patches, "twists"):
+        if not gregory:
+            raise InputError(
+                "this takes Bézier patches, such as those of the scheme 'acc', and these are Gregory patches"
+            )
+        return patches
     patches = floating(patches)
     if patches.ndim != 4:
         raise InputError(f"patches must have shape (patches, du+1, dv+1, 3), not {tuple(patches.shape)}")
@@ -277,6 +290,15 @@ def check_patches(patches: Any, dims: tuple[int, ...] | None = (3, 4)) -> Array 
     if dims is not None and patches.shape[3] not in dims:
         raise InputError(f"control points must have {' or '.join(map(str, dims))} coordinates, not {patches.shape[3]}")
     return patches
+
+
+def on_host(patches: Any) -> Any:
+    """Patches of any kind as NumPy's.
+
+    >>> on_host(jnp.zeros((1, 2, 2, 3))).shape
+    (1, 2, 2, 3)
+    """
+    return patches.on_host() if hasattr(patches, "twists") else np.asarray(patches)
 
 
 def check_weights(patches: Any) -> None:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from slefejax.arguments import Number
 from slefejax.errors import InputError
-from slefejax.geometry.bezier import evaluate_patches
+from slefejax.geometry.evaluate import evaluate_patches
 from slefejax.geometry.view import Camera, Vector, turned_up
 from slefejax.late import one_at_a_time
 

@@ -34,6 +34,7 @@ from slefejax.data.teapot import EYE, TARGET, teapot
 from slefejax.data.walker import walker
 from slefejax.errors import InputError, naming
 from slefejax.framing import PAPERS_SHARE, frame_share
+from slefejax.geometry.gregory import GregoryPatches
 from slefejax.geometry.view import LARGEST, Camera, Vector
 from slefejax.io.bpt import read_bpt, write_bpt
 from slefejax.io.bv import read_bv
@@ -57,7 +58,7 @@ from slefejax.tessellator.edges import Sides
 class Scene:
     """Patches with a name, where they come from, and what was noticed when they were read.
 
-    control    : ``(patches, du+1, dv+1, 3)`` float64, 4 at the end if rational, at rest
+    control    : ``(patches, du+1, dv+1, 3)`` float64, 4 at the end if rational, at rest; or ``GregoryPatches``
     camera     : the camera that belongs to the scene, or None: ``default_camera`` then frames it
     notes      : sentences about what loading changed or left out
     up         : the direction that is up
@@ -72,7 +73,7 @@ class Scene:
     """
 
     name: str
-    control: Float[np.ndarray, "patches nu nv dim"]
+    control: Any
     camera: Camera | None = None
     notes: tuple[str, ...] = field(default=())
     up: tuple[float, float, float] = Z_UP
@@ -81,8 +82,8 @@ class Scene:
     conversion: Conversion | None = None
     rig: Rig | None = None
 
-    def patches(self) -> Float[np.ndarray, "patches nu nv dim"]:
-        """Control points at rest, ``(patches, du+1, dv+1, 3)``, u before v."""
+    def patches(self) -> Any:
+        """Control points at rest, ``(patches, du+1, dv+1, 3)``, u before v; ``GregoryPatches`` of that scheme."""
         return self.control
 
     def vertices(self, pose: Any = None, deform: Deformation | None = None) -> Any:
@@ -135,7 +136,9 @@ class Scene:
         return self.sides.numbers
 
     def points(self) -> Float[np.ndarray, "points 3"]:
-        """All control points, divided by their weights if there are any."""
+        """All control points, divided by their weights if there are any; of Gregory patches their nets'."""
+        if isinstance(self.control, GregoryPatches):
+            return np.asarray(self.control.net).reshape(-1, 3)
         points = self.control[..., :3] / (self.control[..., 3:] if self.control.shape[-1] == 4 else 1.0)
         return points.reshape(-1, 3)
 
@@ -257,8 +260,9 @@ def save(scene: Any, path: Any) -> None:
     if not isinstance(scene, Scene) or not isinstance(path, (str, Path)) or not str(path):
         raise InputError("save needs a scene and the name of a .json or .bpt file")
     if Path(path).suffix.lower() == ".bpt":
-        if scene.control.shape[3] == 4:
-            raise InputError(f"{scene.name} has rational patches, which a .bpt file cannot hold")
+        if scene.control.shape[3] == 4 or isinstance(scene.control, GregoryPatches):
+            kind = "rational" if scene.control.shape[3] == 4 else "Gregory"
+            raise InputError(f"{scene.name} has {kind} patches, which a .bpt file cannot hold")
         if not np.isfinite(scene.control).all():
             raise InputError(f"{scene.name} has control points that are not finite: nothing was written")
         return write_bpt(Path(path), scene.patches())
@@ -324,14 +328,18 @@ def _scene(
     drop_defects: bool,
     weld: float | None = None,
 ) -> Scene:
-    notes, parts, conversion = content.notes, [], None
+    notes, parts, conversion, gregory = content.notes, [], None, None
     if content.mesh is not None:
         check_corners(path, len(content.mesh.corners))
         conversion, found = _converted(content.mesh, scheme, alpha, steps, drop_defects)
         notes += found
         work, mesh = conversion.patchwork, conversion.mesh
         rest = mesh.vertices if content.rig is None else content.rig.at_rest(mesh.vertices)
-        parts.append(_Part([work.on_host(rest)], mesh.numbers[work.faces], work.kinds))
+        own = work.on_host(rest)
+        gregory = own if isinstance(own, GregoryPatches) else None
+        if gregory is not None and (content.splines or content.patches):
+            raise InputError(f"{path} has surfaces besides its control mesh: Gregory patches are alone, choose 'acc'")
+        parts.append(_Part([getattr(own, "net", own)], mesh.numbers[work.faces], work.kinds))
     parts += [_spline_part(spline, number) for number, spline in enumerate(content.splines)]
     if content.patches:
         count = len(content.patches)
@@ -348,7 +356,7 @@ def _scene(
         patches = patches_of(blocks)
         same, said = welded(patches, weld_tolerance(patches, content.digits) if weld is None else weld)
         blocks, found = blocks if same is patches else blocks_of(same), found + said
-    control, said = common_degree(blocks)
+    control, said = common_degree(blocks) if gregory is None else (gregory, ())
     found += said
     faces, kinds = (np.concatenate([getattr(part, name) for part in parts]) for name in ("faces", "kinds"))
     rig = content.rig if alone is not None else None

@@ -18,14 +18,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Float
 
 from slefejax.arguments import check_weights
 from slefejax.errors import InputError
-from slefejax.geometry.packed import Packed, chunks_of
+from slefejax.geometry.packed import Packed, chunks_of, pack
 from slefejax.geometry.projection import Projection
 from slefejax.geometry.view import View, check_view
-from slefejax.lanes import layout
 from slefejax.lanes.memory import Memory
 from slefejax.model.rig import Deformation, Pose, check_time
 from slefejax.model.skinning import Influences
@@ -100,7 +98,7 @@ class Session:
         """Nothing has been computed yet."""
         self._at: _Snapshot | None = None
         self._prepared: Prepared | None = None
-        self._patches: np.ndarray | None = None
+        self._patches: Any = None
         self._seen: tuple[_Snapshot, Factors] | None = None
         self._known: _Known | None = None
 
@@ -148,14 +146,15 @@ class Session:
         return self._seen[1]
 
     @property
-    def patches(self) -> Float[np.ndarray, "patches nu nv dim"]:
+    def patches(self) -> Any:
         """Control points of the pose of the last call, at first those at rest, ``(patches, du+1, dv+1, 3)``."""
         if self._prepared is None:
             self._update_pose(None)
         assert self._prepared is not None
         if self._patches is None:
-            found: np.ndarray = self._prepared.packed.patches()
-            found.flags.writeable = False
+            found = self._prepared.packed.patches()
+            for array in jax.tree.leaves(found):
+                array.flags.writeable = False
             self._patches = found
         return self._patches
 
@@ -213,7 +212,7 @@ class Session:
 
     def _chunks(self) -> Any:
         """The control points of a scene that does not move, in the layout of the kernels."""
-        return layout.pack(self.scene.control.astype(self._dtype))
+        return pack(self.scene.control.astype(self._dtype)).chunks
 
     def _checked(self, pose: Any) -> Any:
         """What the pose pass takes: a Pose, or a number."""
@@ -261,8 +260,7 @@ class Session:
         chunks, count = self._prepared.packed.chunks, len(self._prepared.packed)
         at, memory, before = _snapshot(view), Memory(), self._known
         if before is not None and _same(before.view, view):
-            same = np.all(np.asarray(before.chunks) == np.asarray(chunks), axis=(1, 2, 3))
-            memory = before.memory.after(same.ravel()[:count])
+            memory = before.memory.after(_unchanged(before.chunks, chunks)[:count])
         return _Known(at, chunks, memory)
 
     def _look(self, view: View, memory: Memory) -> Factors:
@@ -282,6 +280,13 @@ class _Known(NamedTuple):
     view: _Snapshot
     chunks: Any
     memory: Memory
+
+
+def _unchanged(before: Any, now: Any) -> np.ndarray:
+    """Which patches have the same control points, of chunks."""
+    pairs = zip(jax.tree.leaves(before), jax.tree.leaves(now), strict=True)
+    same = [np.all(np.asarray(a) == np.asarray(b), axis=tuple(range(1, a.ndim - 1))) for a, b in pairs]
+    return np.all(same, axis=0).ravel()
 
 
 class _Snapshot(NamedTuple):

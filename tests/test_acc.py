@@ -308,7 +308,7 @@ def test_options_of_schemes():
     for bad in (0, 9, 1.0, True):
         with pytest.raises(InputError, match="steps must be a whole number from 1 to 8"):
             convert(cube(), "catmull-clark+acc", steps=cast(Any, bad))
-    with pytest.raises(InputError, match="steps belong to the scheme 'catmull-clark"):
+    with pytest.raises(InputError, match="steps belong to the schemes 'catmull-clark"):
         convert(cube(), steps=1)
 
 

@@ -82,7 +82,7 @@ def acc_patches(mesh: Mesh, alpha: float = ALPHA) -> Patchwork:
     around = Neighbourhood.of(mesh)
     masks = corner_masks(around, alpha)
     points = corner_points(around, masks).stacked(edge_points(around, masks), masks.normalised())
-    return Patchwork(points, _net(mesh), np.arange(mesh.face_count), _kinds(around))
+    return Patchwork(points, _net(mesh), np.arange(mesh.face_count), kinds(around))
 
 
 def corner_masks(around: Neighbourhood, alpha: float) -> StencilTable:
@@ -150,14 +150,14 @@ def _net(mesh: Mesh) -> Int[np.ndarray, "faces 4 4"]:
     quads = mesh.sizes == 4
     if quads.any():
         c = mesh.offsets[:-1][quads] + np.arange(4)[:, None]
-        net[quads] = _quad_net(mesh.corners, out, back, inside, c)
+        net[quads] = quad_net(mesh.corners, out, back, inside, c)
     if not quads.all():
-        c = _pinched_last(mesh, np.flatnonzero(~quads))
+        c = pinched_last(mesh, np.flatnonzero(~quads))
         net[~quads] = _pinched_net(mesh.corners, out, back, inside, c)
     return net
 
 
-def _quad_net(vertex: Any, out: Any, back: Any, inside: Any, c: Any) -> Any:
+def quad_net(vertex: Any, out: Any, back: Any, inside: Any, c: Any) -> Any:
     a, b, d, e = c  # the corners, counter-clockwise
     rows = [
         [vertex[a], back[e], out[e], vertex[e]],
@@ -179,7 +179,7 @@ def _pinched_net(vertex: Any, out: Any, back: Any, inside: Any, c: Any) -> Any:
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-def _pinched_last(mesh: Mesh, triangles: Int[np.ndarray, "triangles"]) -> Int[np.ndarray, "3 triangles"]:
+def pinched_last(mesh: Mesh, triangles: Int[np.ndarray, "triangles"]) -> Int[np.ndarray, "3 triangles"]:
     """Corners of triangles, turned so that the vertex of highest valence, the lowest of several, comes last."""
     c = mesh.offsets[:-1][triangles][:, None] + np.arange(3)
     vertex = mesh.corners[c]
@@ -188,7 +188,7 @@ def _pinched_last(mesh: Mesh, triangles: Int[np.ndarray, "triangles"]) -> Int[np
     return np.take_along_axis(c, turned, axis=1).T
 
 
-def _kinds(around: Neighbourhood) -> Int[np.ndarray, "faces"]:
+def kinds(around: Neighbourhood) -> Int[np.ndarray, "faces"]:
     """Of every face the last of KINDS that one of its vertices makes it; where all are regular, it is a B-spline."""
     mesh = around.mesh
     kind = np.zeros(mesh.face_count, np.int64)

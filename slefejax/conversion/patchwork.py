@@ -10,8 +10,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
+from slefejax.geometry.gregory import GregoryPatches, Twisted
 from slefejax.geometry.packed import chunks_of, packed_numbers
 from slefejax.model.stencils import StencilTable
 from slefejax.tessellator.edges import Sides
@@ -29,6 +30,8 @@ class Patchwork:
     kinds  : ``(patches,)``, numbers in KINDS
     first  : table that is applied before ``points``, a step of subdivision; None for none. One table for both would
              have twice the weights
+    twists : of Gregory patches: ``(patches, slots)``, which rows of ``points`` their twists are
+             (``slefejax.geometry.gregory``); None of Bézier patches
     """
 
     points: StencilTable
@@ -36,20 +39,29 @@ class Patchwork:
     faces: Int[np.ndarray, "patches"]
     kinds: Int[np.ndarray, "patches"]
     first: StencilTable | None = None
+    twists: Int[np.ndarray, "patches slots"] | None = None
 
     def patches(self, control: Any) -> Any:
-        """Control points of all patches by JAX: ``(inputs, dim)`` to ``(patches, du+1, dv+1, dim)``; differentiable."""
-        return self._points(control)[self.net]
+        """Control points of all patches by JAX: ``(inputs, dim)`` to ``(patches, du+1, dv+1, dim)``; differentiable.
 
-    def on_host(self, control: Any) -> Float[np.ndarray, "patches nu nv dim"]:
+        ``GregoryPatches`` of those.
+        """
+        return self._of(self._points(control))
+
+    def on_host(self, control: Any) -> Any:
         """The same in float64 by NumPy alone."""
         control = control if self.first is None else self.first.on_host(control)
-        return self.points.on_host(control)[self.net]
+        return self._of(self.points.on_host(control))
+
+    def _of(self, points: Any) -> Any:
+        net = points[self.net]
+        return net if self.twists is None else GregoryPatches(net, points[self.twists])
 
     @cached_property
-    def packed_net(self) -> Int[np.ndarray, "chunks nu nv lanes"]:
-        """``net`` in the layout of the kernels."""
-        return packed_numbers(self.net)
+    def packed_net(self) -> Any:
+        """``net``, and twists if there are any, in the layout of the kernels."""
+        net = packed_numbers(self.net)
+        return net if self.twists is None else Twisted(net, packed_numbers(self.twists))
 
     def packed(self, control: Any) -> Any:
         """The same by JAX in the layout of the kernels, ``(chunks, du+1, dv+1, dim, lanes)`` (``lanes.layout``)."""

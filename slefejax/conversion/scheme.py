@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Protocol, runtime_checkable
@@ -11,8 +10,9 @@ import numpy as np
 from jaxtyping import Int
 
 from slefejax.arguments import check_choice, check_positive, imported, is_whole, no_such
-from slefejax.conversion.acc import ALPHA, acc_patches
-from slefejax.conversion.catmull_clark import refine
+from slefejax.conversion.acc import ALPHA, Neighbourhood, acc_patches
+from slefejax.conversion.catmull_clark import CORNER, refine
+from slefejax.conversion.gregory_nets import gregory_patches
 from slefejax.conversion.patchwork import Patchwork
 from slefejax.conversion.tangents import tangent_tables
 from slefejax.errors import InputError
@@ -51,10 +51,10 @@ class Conversion:
 
         Bernstein coefficients of bi-degree (2, 3) and (3, 2); their cross product is a normal that agrees with the
         neighbour's along every smooth inner edge, except next to triangles, corners and vertices of valence 2
-        (``slefejax.conversion.tangents``). Raises InputError for a scheme of one's own: its normals are those of its
-        patches.
+        (``slefejax.conversion.tangents``). Raises InputError for Gregory patches and a scheme of one's own: their
+        normals are those of the patches.
         """
-        if self.scheme not in SCHEMES:
+        if self.scheme not in SCHEMES or self.patchwork.twists is not None:
             raise InputError(f"patches of the scheme {self.scheme!r} have no tangent patches, only their own normals")
         du, dv = self._tangents
         rest = np.shape(vertices)[1:]
@@ -87,7 +87,11 @@ class _WithPoints:
     def refined(self, mesh: Mesh) -> tuple[Mesh, Patchwork]:
         """The mesh that patches are made of, and the tables from the vertices of the one given."""
         self.check(mesh)
-        return mesh, acc_patches(mesh, float(self.alpha))
+        return mesh, self.points(mesh)
+
+    def points(self, mesh: Mesh) -> Patchwork:
+        """Without any steps."""
+        return acc_patches(mesh, float(self.alpha))
 
     def check(self, mesh: Mesh) -> None:
         """InputError for numbers out of their range, and for faces that the scheme cannot do with."""
@@ -118,6 +122,27 @@ class BSpline(_WithPoints):
     name = "bspline"
 
 
+class Gregory(_WithPoints):
+    """Gregory patches [LSNC09]: normals agree across edges. Faces of more than four vertices take a step of the mesh.
+
+    >>> from slefejax import load
+    >>> load("walker", scheme="gregory").patches()
+    GregoryPatches(2496 of bi-degree 4)
+    """
+
+    name = "gregory"
+
+    def refined(self, mesh: Mesh) -> tuple[Mesh, Patchwork]:
+        """The mesh, or what a step makes of it, and the tables."""
+        if mesh.sizes.max() > 4:
+            return SubdividedGregory(self.alpha).refined(mesh)
+        return super().refined(mesh)
+
+    def points(self, mesh: Mesh) -> Patchwork:
+        """Without any steps."""
+        return gregory_patches(mesh)
+
+
 @dataclass(frozen=True)
 class Subdivided(_WithPoints):
     """Steps of Catmull-Clark subdivision first [CC78]: any faces; each step makes four times as many patches."""
@@ -131,7 +156,7 @@ class Subdivided(_WithPoints):
         finer, table, parents = mesh, None, np.arange(mesh.face_count)
         for _ in range(self.steps):
             finer, table, parents = _one_more(finer, table, parents)
-        return finer, replace(acc_patches(finer, float(self.alpha)), faces=parents, first=table)
+        return finer, replace(self.points(finer), faces=parents, first=table)
 
     def check(self, mesh: Mesh) -> None:
         """InputError for so many steps that there would be too many patches, too."""
@@ -142,7 +167,19 @@ class Subdivided(_WithPoints):
             raise InputError(f"{self.steps} steps would make {made:,} patches, more than {_MOST_PATCHES:,}: take fewer")
 
 
-_BY_NAME: dict[str, Callable[..., _WithPoints]] = {own.name: own for own in (Acc, Pinched, BSpline, Subdivided)}
+class SubdividedGregory(Subdivided):
+    """The same, and Gregory patches then."""
+
+    name = "catmull-clark+gregory"
+
+    def points(self, mesh: Mesh) -> Patchwork:
+        """Without any steps."""
+        return gregory_patches(mesh)
+
+
+_KINDS = (Acc, Pinched, BSpline, Gregory, Subdivided, SubdividedGregory)
+_BY_NAME: dict[str, type[_WithPoints]] = {own.name: own for own in _KINDS}
+_WITH_STEPS = (Subdivided.name, SubdividedGregory.name)
 SCHEMES = ("auto", *_BY_NAME)
 
 
@@ -151,21 +188,21 @@ def convert(mesh: Mesh, scheme: Scheme | str = "auto", alpha: Any = ALPHA, steps
 
     scheme : ``"acc"`` for meshes of quads; ``"pinched"`` for quads and triangles; ``"bspline"``, only for regular
              meshes, where it is exact; ``"catmull-clark+acc"`` for any, by steps of subdivision first, each of which
-             makes four times as many patches; ``"auto"``: pinched quads where there are triangles (none of them
+             makes four times as many patches; ``"gregory"`` and ``"catmull-clark+gregory"``: Gregory patches, which join
+             smoothly (``slefejax.conversion.gregory``); ``"auto"``: pinched quads where there are triangles (none of them
              quadruples all patches), subdivision only where there are faces of more than four vertices. Or a value:
              ``slefejax.conversion.scheme.Acc()`` …, one's own (``Scheme``), or ``"my_module:MyScheme"``
     alpha  : of triangles: the weight of a neighbour, positive; [Yeo12] takes 2.5
-    steps  : of ``"catmull-clark+acc"``: how many; 1 if not given
+    steps  : of ``"catmull-clark+acc"`` and ``"catmull-clark+gregory"``: how many; 1 if not given
 
     Raises InputError for a scheme that the mesh does not allow, with the number of the face or vertex.
     """
-    given = scheme == "auto"
     value = _value(mesh, scheme, alpha, steps)
     if not isinstance(value, _WithPoints):
         return Conversion(mesh, _name(value), mesh, _checked(value.patchwork(mesh), mesh, _name(value)), ())
     finer, patchwork = value.refined(mesh)
-    notes = _price_of_ngons(mesh, steps) if given else ()
-    return Conversion(mesh, value.name, finer, patchwork, notes + _left_out(finer, value.alpha))
+    notes = _price_of_ngons(mesh, steps) if scheme == "auto" or isinstance(value, Gregory) else ()
+    return Conversion(mesh, value.name, finer, patchwork, notes + _left_out(finer, value))
 
 
 def _value(mesh: Mesh, scheme: Any, alpha: Any, steps: Any) -> Any:
@@ -176,10 +213,13 @@ def _value(mesh: Mesh, scheme: Any, alpha: Any, steps: Any) -> Any:
     if isinstance(scheme, str) and ":" not in scheme:
         check_choice("scheme", scheme, SCHEMES)
         chosen = _automatic(mesh) if scheme == "auto" else scheme
-        if chosen == Subdivided.name:
-            return Subdivided(alpha, 1 if steps is None else steps)
+        if alpha != ALPHA and issubclass(_BY_NAME[chosen], (Gregory, SubdividedGregory)):
+            said = f"alpha is of triangles' points in 'acc', 'pinched' and their like, not of {chosen!r}"
+            raise InputError(said, options=("alpha",))
+        if chosen in _WITH_STEPS:
+            return _BY_NAME[chosen](alpha, 1 if steps is None else steps)  # type: ignore[call-arg]
         if steps is not None:
-            said = f"steps belong to the scheme 'catmull-clark+acc', not to {chosen!r}"
+            said = f"steps belong to the schemes {' and '.join(map(repr, _WITH_STEPS))}, not to {chosen!r}"
             raise InputError(said, options=("steps",))
         return _BY_NAME[chosen](alpha)
     value = imported(scheme, "scheme") if isinstance(scheme, str) else scheme
@@ -279,7 +319,8 @@ def _price_of_ngons(mesh: Mesh, steps: int | None) -> tuple[str, ...]:
     )
 
 
-def _left_out(finer: Mesh, alpha: float) -> tuple[str, ...]:
+def _left_out(finer: Mesh, scheme: _WithPoints) -> tuple[str, ...]:
+    alpha = scheme.alpha
     inner = np.where(finer.boundary, 0.0, finer.edge_sharpness)
     rounded = np.append(inner[(inner >= 1) & np.isfinite(inner)], finer.vertex_sharpness[finer.vertex_sharpness >= 1])
     dropped = np.count_nonzero((inner > 0) & (inner < 1)) + np.count_nonzero(
@@ -298,4 +339,22 @@ def _left_out(finer: Mesh, alpha: float) -> tuple[str, ...]:
             f"alpha = {alpha:g}: edge points next to triangles are not midway between the interior points on both"
             f" sides, as they are for {ALPHA:g}, so patches join less smoothly there"
         )
+    if isinstance(scheme, (Gregory, SubdividedGregory)):
+        notes += _not_smooth(finer)
     return tuple(notes)
+
+
+def _not_smooth(mesh: Mesh) -> list[str]:
+    """Where nothing is promised about normals of Gregory patches."""
+    around = Neighbourhood.of(mesh)
+    fans = around.fans
+    corners = np.bincount(fans.vertex[around.rule[fans.vertex] == CORNER], minlength=mesh.vertex_count)
+    several = np.flatnonzero((corners > 0) & (np.bincount(mesh.corners, minlength=mesh.vertex_count) > corners))
+    folds = fans.vertex[fans.closed & (fans.size == 2)]
+    odd = np.concatenate([several, folds])
+    if not odd.size:
+        return []
+    return [
+        f"patches may not join smoothly at {odd.size} vertices that are corners of several faces or have two edges"
+        f" (vertex {odd[0]}, counted from 0)"
+    ]

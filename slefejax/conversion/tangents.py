@@ -129,6 +129,12 @@ def corner_tangents(around: Neighbourhood) -> tuple[StencilTable, StencilTable, 
 
 def _frame(around: Neighbourhood) -> tuple[StencilTable, StencilTable]:
     """A and B of every fan."""
+    (closed_a, closed_b), (crease_a, crease_b) = _closed_frame(around), crease_frame(around)
+    return closed_a + crease_a, closed_b + crease_b
+
+
+def crease_frame(around: Neighbourhood) -> tuple[StencilTable, StencilTable]:
+    """A and B of fans between creases or at a boundary, for quads; 0 of the others."""
     fans, mesh = around.fans, around.mesh
     first, last = _ends_of_fans(around)
     count = len(fans.size)
@@ -136,9 +142,8 @@ def _frame(around: Neighbourhood) -> tuple[StencilTable, StencilTable]:
     def rows(columns: np.ndarray) -> StencilTable:
         return StencilTable.of(np.arange(count), columns, np.ones(count), (count, mesh.vertex_count))
 
-    closed_a, closed_b = _closed_frame(around)
-    crease_a = (rows(first) - rows(last)).scaled(0.5 * ~fans.closed)
-    return closed_a + crease_a, closed_b + _crease_frame(around, rows(first) + rows(last), rows(fans.vertex))
+    a = (rows(first) - rows(last)).scaled(0.5 * ~fans.closed)
+    return a, _across_crease(around, rows(first) + rows(last), rows(fans.vertex))
 
 
 def _ends_of_fans(around: Neighbourhood) -> tuple[np.ndarray, np.ndarray]:
@@ -181,7 +186,7 @@ def _closed_frame(around: Neighbourhood) -> tuple[StencilTable, StencilTable]:
     return (_waves(around, edge, diagonal, np.cos, closed), _waves(around, edge, diagonal, np.sin, closed))
 
 
-def _crease_frame(around: Neighbourhood, both_ends: StencilTable, vertex: StencilTable) -> StencilTable:
+def _across_crease(around: Neighbourhood, both_ends: StencilTable, vertex: StencilTable) -> StencilTable:
     """The limit tangent across a boundary or a crease, the left eigenvector of one subdivision step around it.
 
     Between the ends of the fan that step is the one of an interior vertex with n = 2 f edges, f faces, so the weights

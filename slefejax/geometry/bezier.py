@@ -15,9 +15,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Shaped
 
-from slefejax.arguments import Numbers, Patches, check_patches, check_weights, floating
-from slefejax.errors import InputError
-
 HIGHEST_DEGREE = 64  # of what is read, and of slefes
 Values = Any  # numbers or arrays, NumPy or JAX, that broadcast
 
@@ -72,34 +69,6 @@ def evaluate_patch(coefficients: Float[Array | np.ndarray, "nu nv *rest"], u: Va
     across = bernstein(coefficients.shape[1] - 1, v)
     rows = [combine(row, across) for row in coefficients]
     return combine(rows, bernstein(coefficients.shape[0] - 1, u))
-
-
-def evaluate_patches(patches: Patches, parameters: Numbers) -> Float[Array | np.ndarray, "patches places 3"]:
-    """Points of polynomial or rational patches at parameters (u, v), which run from 0 to 1; differentiable by both.
-
-    patches    : ``(patches, du+1, dv+1, 3)``, u before v; 4 at the end if rational, (w x, w y, w z, w), w > 0
-    parameters : ``(places, 2)``, the same for all patches, or ``(patches, places, 2)``, for each its own
-    returns    : ``(patches, places, 3)``, in the units and the precision of the patches; by NumPy unless one of both is
-                 JAX's
-
-    Raises InputError for a wrong shape, or a weight that is not positive (with the patch's number).
-
-    >>> arc = np.array([[1, 0, 0, 1], [1, 1, 0, 1], [0, 2, 0, 2]], float)      # a quarter circle
-    >>> evaluate_patches(np.stack([arc, arc], axis=1)[None], [[0.0, 0.5], [0.5, 0.5]]).tolist()
-    [[[1.0, 0.0, 0.0], [0.6, 0.8, 0.0]]]
-    """
-    patches, parameters = check_patches(patches), floating(parameters)
-    check_weights(patches)
-    if parameters.shape[-1:] != (2,) or parameters.shape[:-2] not in ((), patches.shape[:1]) or parameters.ndim < 2:
-        raise InputError(
-            f"parameters of {len(patches)} patches must have shape (places, 2) or ({len(patches)}, places, 2), not"
-            f" {tuple(parameters.shape)}"
-        )
-    xp: Any = np if isinstance(patches, np.ndarray) and isinstance(parameters, np.ndarray) else jnp
-    control = xp.moveaxis(xp.asarray(patches), 0, -1)[..., None]
-    u, v = xp.moveaxis(xp.asarray(parameters, control.dtype), -1, 0)
-    points = xp.moveaxis(evaluate_patch(control, u, v), 0, -1)
-    return points[..., :3] / points[..., 3:] if patches.shape[3] == 4 else points
 
 
 def second_differences(coefficients: Shaped[Array | np.ndarray, "n *rest"]) -> Values:

@@ -19,6 +19,8 @@ from jax.core import Tracer
 from jaxtyping import Int
 
 from slefejax.arguments import Patches, check_patches, check_weights
+from slefejax.geometry.evaluate import as_control
+from slefejax.geometry.gregory import GregoryPatches, Twisted
 from slefejax.geometry.projection import Projection, least_distance, relative
 from slefejax.geometry.view import View
 from slefejax.lanes import layout
@@ -28,8 +30,10 @@ from slefejax.lanes import layout
 class Packed:
     """Patches as the kernels want them; make it with ``pack``, or ``Packed.made`` of chunks that are there.
 
-    given : ``(patches, du+1, dv+1, dim)``, in whatever precision they came in; None if they were made as chunks
-    own   : chunks ``(chunks, du+1, dv+1, dim, lanes)`` (``lanes.layout``); None if they are made of those given
+    given : ``(patches, du+1, dv+1, dim)`` or ``GregoryPatches``, in whatever precision they came in; None if they were
+            made as chunks
+    own   : chunks ``(chunks, du+1, dv+1, dim, lanes)`` (``lanes.layout``), ``Twisted`` of Gregory patches; None if they
+            are made of those given
     count : how many patches there are
     rounded : whether the chunks have fewer digits than the patches had
 
@@ -44,7 +48,7 @@ class Packed:
     rounded: bool
 
     @staticmethod
-    def made(chunks: Array | np.ndarray, count: int, rounded: bool = False) -> Packed:
+    def made(chunks: Any, count: int, rounded: bool = False) -> Packed:
         """Patches that are in the layout of the kernels already."""
         return Packed(None, chunks, count, rounded)
 
@@ -54,24 +58,30 @@ class Packed:
     @cached_property
     def chunks(self) -> Any:
         """In the layout of the kernels, and in JAX's precision."""
-        return layout.pack(self.given) if self.own is None else self.own
+        return jax.tree.map(layout.pack, as_control(self.given)) if self.own is None else self.own
+
+    @property
+    def gregory(self) -> bool:
+        """Whether they are Gregory patches."""
+        return isinstance(self.given, GregoryPatches) or isinstance(self.own, Twisted)
 
     @property
     def dimension(self) -> int:
         """3, or 4 if they are rational."""
-        return self.own.shape[3] if self.given is None else self.given.shape[3]
+        return _net(self.own).shape[3] if self.given is None else self.given.shape[3]
 
     @property
     def dtype(self) -> Any:
         """Of the numbers that kernels compute with."""
-        return self.own.dtype if self.given is None else jax.dtypes.canonicalize_dtype(self.given.dtype)
+        return _net(self.own).dtype if self.given is None else jax.dtypes.canonicalize_dtype(self.given.dtype)
 
     def patches(self) -> Any:
         """In the order of users, ``(patches, du+1, dv+1, dim)``: those given, or made of the chunks."""
         if self.given is not None:
             return self.given
-        traced = isinstance(self.own, Tracer)
-        return layout.unpack(self.own, self.count) if traced else layout.unpack_on_host(self.own, self.count)
+        unpack = layout.unpack if isinstance(_net(self.own), Tracer) else layout.unpack_on_host
+        found = jax.tree.map(lambda chunks: unpack(chunks, self.count), self.own)
+        return GregoryPatches(*found) if isinstance(found, Twisted) else found
 
     def __jax_array__(self) -> Any:
         """So that functions that take patches take these."""
@@ -85,19 +95,27 @@ class Packed:
         """Chunks near to an origin, or in a unit, in which their digits are held, and the projection for these."""
         unit = _unit(view, self.dtype)
         exact = self.given is None or self.given.dtype == self.dtype
-        source = self.own if self.given is None else self.given
+        source = _net(self.own) if self.given is None else self.given
+        source = source.net if isinstance(source, GregoryPatches) else source
         known = not isinstance(source, Tracer) and isinstance(view.camera.world_to_eye, np.ndarray)
         if not known or (exact and unit == 1.0):
             origin = line_of_sight(view, self.chunks)
             return self.chunks, Projection.of(view, self.dtype, origin, self.rounded)
-        points = np.asarray(self.patches(), np.float64)
+        control = jax.tree.map(lambda x: np.asarray(x, np.float64), as_control(self.patches()))
+        points = _net(control)
         origin = _beside_nearest(view, np.moveaxis(points[:, 0, 0], 0, -1))
         near = relative(points, origin, axis=-1)
         near[..., :3] *= unit
+        near = Twisted(near, control.twists * unit) if isinstance(control, Twisted) else near
         moved = Projection.of(_in_units(view, unit), self.dtype, origin * unit)
         with np.errstate(over="ignore"):  # what overflows is refused with the patch's number
-            near = near.astype(self.dtype)
-        return layout.pack(near), moved._replace(origin=np.zeros(3, self.dtype))
+            near = jax.tree.map(lambda x: x.astype(self.dtype), near)
+        return jax.tree.map(layout.pack, near), moved._replace(origin=np.zeros(3, self.dtype))
+
+
+def _net(chunks: Any) -> Any:
+    """Of Gregory patches the nets alone."""
+    return chunks.net if isinstance(chunks, Twisted) else chunks
 
 
 jax.tree_util.register_pytree_node(
@@ -111,7 +129,7 @@ def pack(patches: Patches) -> Packed:
     """Patches in the layout of the kernels, made once: taken wherever patches are.
 
     patches : control points ``(patches, du+1, dv+1, 3)``, u before v, any bi-degree; 4 at the end if rational, with
-              positive weights; or what this function returned
+              positive weights; or ``GregoryPatches``; or what this function returned
 
     Raises InputError for wrong shapes and weights.
 
@@ -121,12 +139,12 @@ def pack(patches: Patches) -> Packed:
     """
     if isinstance(patches, Packed):
         return patches
-    patches = check_patches(patches)
+    patches = check_patches(patches, gregory=True)
     check_weights(patches)
     return Packed(patches, None, len(patches), patches.dtype != jax.dtypes.canonicalize_dtype(patches.dtype))
 
 
-def packed_numbers(net: Int[np.ndarray, "patches nu nv"]) -> Int[np.ndarray, "chunks nu nv lanes"]:
+def packed_numbers(net: Int[np.ndarray, "patches *rest"]) -> Int[np.ndarray, "chunks *rest lanes"]:
     """Numbers of points, a net of them a patch, in the layout of the kernels.
 
     >>> packed_numbers(np.arange(8).reshape(2, 2, 2)).shape
@@ -135,14 +153,17 @@ def packed_numbers(net: Int[np.ndarray, "patches nu nv"]) -> Int[np.ndarray, "ch
     return np.asarray(layout.pack(net.astype(np.int32)))
 
 
-def chunks_of(points: Array | np.ndarray, numbers: Array | np.ndarray) -> Array:
+def chunks_of(points: Array | np.ndarray, numbers: Any) -> Any:
     """Control points ``(chunks, nu, nv, dim, lanes)`` of patches whose ``packed_numbers`` these are, by JAX.
+
+    Of Gregory patches numbers and control points are ``Twisted``, twists ``(chunks, slots, dim, lanes)``.
 
     >>> points = np.arange(12.0).reshape(4, 3)
     >>> chunks_of(jnp.asarray(points), packed_numbers(np.array([[[0, 1], [2, 3]]]))).shape
     (2, 2, 2, 3, 16)
     """
-    return jnp.moveaxis(points.reshape(len(points), -1).T[:, numbers], 0, 3)
+    rows = points.reshape(len(points), -1).T
+    return jax.tree.map(lambda own: jnp.moveaxis(rows[:, own], 0, -2), numbers)
 
 
 def _unit(view: View, dtype: Any) -> float:
@@ -167,7 +188,7 @@ def line_of_sight(view: View, packed: Any) -> Any:
     That is the eye if some are beside or behind it. There points that matter have small coordinates, and those of the
     origin on the screen are 0. The eye, too, if points or view are traced.
     """
-    camera = view.camera
+    camera, packed = view.camera, _net(packed)
     if isinstance(packed, Tracer) or not isinstance(camera.world_to_eye, np.ndarray):
         return camera.eye.astype(packed.dtype)
     corners = np.moveaxis(np.asarray(packed)[:, 0, 0].astype(np.float64), 1, 0)

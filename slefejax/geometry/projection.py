@@ -12,6 +12,7 @@ from jax import Array
 from jax.typing import DTypeLike
 
 from slefejax.arguments import Number
+from slefejax.geometry.gregory import Twisted
 from slefejax.geometry.view import View
 from slefejax.lanes import nets
 from slefejax.lanes.nets import Lanes, Net
@@ -51,7 +52,9 @@ class Projection(NamedTuple):
         return Projection(*(xp.asarray(part, dtype) for part in parts))
 
     def relative(self, points: Any, axis: int = -2) -> Any:
-        """World points relative to the origin (``relative``)."""
+        """World points relative to the origin (``relative``); twists of Gregory patches are differences as they are."""
+        if isinstance(points, Twisted):
+            return Twisted(relative(points.net, self.origin, axis), points.twists)
         return relative(points, self.origin, axis)
 
     def undivided(self, control: Array | np.ndarray) -> list[Any]:
@@ -120,22 +123,24 @@ def least_distance(dtype: DTypeLike) -> float:
     return float(jnp.finfo(dtype).tiny) ** 0.5
 
 
-def harmless(control: Array, projection: Projection, scale: Number = 1.0) -> Array:
+def harmless(control: Any, projection: Projection, scale: Number = 1.0) -> Array:
     """Whether all control points are finite, and small enough for their images, over a scale, to be."""
     # the sum of their sizes, which costs less than the largest of them and is not much more
-    reach, eye = nets.sum_of_sizes(control), jnp.max(jnp.abs(projection.origin))
-    reach = reach + eye * (reach if control.shape[2] == 4 else 1.0)
+    net, twists = control if isinstance(control, Twisted) else (control, None)
+    reach, eye = nets.sum_of_sizes(net), jnp.max(jnp.abs(projection.origin))
+    reach = reach + eye * (reach if net.shape[2] == 4 else 1.0)
+    reach = reach if twists is None else reach + jnp.sum(jnp.abs(twists), axis=(0, 1))
     # a sum of four products of points and matrix entries, differences of such sums, and the picture's size
     return jnp.isfinite(64 * (reach / scale) * jnp.max(jnp.abs(projection.frustum)))
 
 
-def positive(control: Array) -> Array | bool:
+def positive(control: Any) -> Array | bool:
     """Whether all weights are; polynomial patches, ``(du+1, dv+1, 3, lanes)``, have none.
 
     >>> bool(positive(jnp.ones((2, 2, 4, 1)))[0]), positive(jnp.ones((2, 2, 3, 1)))
     (True, True)
     """
-    if control.shape[2] == 3:
+    if isinstance(control, Twisted) or control.shape[2] == 3:
         return True
     return jnp.all(control[:, :, 3] > 0, axis=(0, 1))
 

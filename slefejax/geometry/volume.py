@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from slefejax.geometry.gregory import Twisted
 from slefejax.geometry.projection import Projection, numbers
 from slefejax.lanes import nets
 from slefejax.lanes.maxima import larger, smaller
@@ -63,8 +64,11 @@ def few(grid: Array | np.ndarray) -> bool:
     return grid.shape[0] * grid.shape[1] <= TUNING.unrolled_boxes
 
 
-def on_screen(control: Array, projection: Projection) -> Array:
+def on_screen(control: Any, projection: Projection) -> Array:
     """Whether the box around the control points reaches into the view volume."""
-    low, high = jnp.min(control, axis=(0, 1)), jnp.max(control, axis=(0, 1))
+    net, room = control, 0.0
+    if isinstance(control, Twisted):
+        net, room = control.net, 0.5 * jnp.sum(jnp.abs(control.twists), axis=0)
+    low, high = jnp.min(net, axis=(0, 1)) - room, jnp.max(net, axis=(0, 1)) + room
     low, high = (jnp.broadcast_to(bound, (2, 2, *bound.shape)) for bound in (low, high))
     return inside_of_tiles(low, high, projection.frustum)[0, 0] >= 0

@@ -15,10 +15,10 @@ from jaxtyping import Float, Int
 
 from slefejax.arguments import Patches, check_concrete, check_patches
 from slefejax.errors import InputError
-from slefejax.geometry.bezier import evaluate_patch
+from slefejax.geometry.evaluate import evaluate
 from slefejax.geometry.view import View
 from slefejax.lanes import layout, loops, passes
-from slefejax.measure.surface import undivided
+from slefejax.measure.surface import of_patches, undivided
 
 SLIPPED = 1 / 16  # pixels
 
@@ -33,7 +33,7 @@ def pixel_error(
 ) -> Float[np.ndarray, "height width"]:
     """The parametric error of every pixel: max(|dx|, |dy|) between P(p(u, v)) and where it was drawn ([YBP12], (1)).
 
-    patches     : control points, ``(patches, du+1, dv+1, 3)`` or, rational, 4 at the end
+    patches     : control points, ``(patches, du+1, dv+1, 3)`` or, rational, 4 at the end; or ``GregoryPatches``
     u, v, patch : what the renderer found at each pixel centre, row 0 at the bottom; patch -1 where nothing is
     drawn       : where it drew that point, in pixels from the pixel's centre; None: at the centre
     returns     : pixels, float64; NaN where nothing is, infinite where the exact point is not in front of the camera
@@ -41,7 +41,7 @@ def pixel_error(
     Colours in the pictures of [YBP12]: grey up to 0.1 pixel, blue up to 0.5, green up to 1, red above.
     """
     check_concrete("pixel_error", patches, view, u, v, patch, drawn)
-    patches = np.asarray(check_patches(patches))
+    patches = check_patches(patches, gregory=True)
     rows, columns = np.nonzero(patch >= 0)
     error = np.full(patch.shape, np.nan)
     if rows.size:
@@ -83,7 +83,7 @@ def slip(seen: Any) -> Float[np.ndarray, "height width"]:
 
 
 def surface_on_screen(
-    patches: Float[np.ndarray, "patches nu nv dim"],
+    patches: Any,
     view: View,
     patch: Int[np.ndarray, "points"],
     u: Float[np.ndarray, "points"],
@@ -102,10 +102,10 @@ def surface_on_screen(
 
 
 @passes.as_pass()
-def _evaluate(samples: Float[Any, "chunks 3 lanes"], control: Float[Any, "nu nv 4 patches"]) -> Any:
+def _evaluate(samples: Float[Any, "chunks 3 lanes"], control: Any) -> Any:
     def positions(chunk: Any) -> Any:
-        own = control[..., chunk[2].astype(jnp.int32)]
-        point = evaluate_patch(own, chunk[0], chunk[1])
+        own = of_patches(control, chunk[2].astype(jnp.int32))
+        point = evaluate(own, chunk[0], chunk[1])
         return jnp.where(point[3] > 0, point[:3] / point[3], jnp.nan)
 
     return loops.over_chunks(positions, samples)

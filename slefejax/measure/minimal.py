@@ -10,11 +10,12 @@ witnesses too.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Int
 
-from slefejax.arguments import Number, Patches, check_concrete, check_patches, check_positive, is_whole
+from slefejax.arguments import Number, Patches, check_concrete, check_patches, check_positive, is_whole, on_host
 from slefejax.errors import InputError
 from slefejax.geometry.view import View
 from slefejax.measure.supremum import Surface, in_batches, worst_points
@@ -55,12 +56,12 @@ def minimal_factors(
     [5]
     """
     check_concrete("minimal_factors", patches, view)
-    patches = check_patches(patches)
+    patches = check_patches(patches, gregory=True)
     check_positive("tolerance", tolerance)
     if not is_whole(limit, 1) or limit > MOST_LEVEL:
         raise InputError(f"the limit must be a whole number from 1 to {MOST_LEVEL}, not {limit!r}")
     diagonal = np.repeat(np.arange(1, limit + 1)[:, None], 2, axis=1)
-    return _Search(np.asarray(patches), view, float(tolerance), diagonal).run(progress)[:, 0]
+    return _Search(on_host(patches), view, float(tolerance), diagonal).run(progress)[:, 0]
 
 
 def minimal_pairs(
@@ -86,7 +87,7 @@ def minimal_pairs(
     """
     square = minimal_factors(patches, view, tolerance, limit=limit)
     pairs = _by_triangles(int(square.max()))
-    return _Search(np.asarray(check_patches(patches)), view, float(tolerance), pairs).run(progress)
+    return _Search(on_host(check_patches(patches, gregory=True)), view, float(tolerance), pairs).run(progress)
 
 
 def _by_triangles(largest: int) -> Int[np.ndarray, "pairs 2"]:
@@ -102,7 +103,7 @@ def _by_triangles(largest: int) -> Int[np.ndarray, "pairs 2"]:
 class _Search:
     """All patches at once: each has a next candidate to try, in the order of the candidates, and its witnesses."""
 
-    def __init__(self, patches: np.ndarray, view: View, tolerance: float, candidates: np.ndarray) -> None:
+    def __init__(self, patches: Any, view: View, tolerance: float, candidates: np.ndarray) -> None:
         self.patches, self.view, self.tolerance, self.candidates = patches, view, tolerance, candidates
         self.surface = Surface.of(patches, view)
         self.found = np.zeros((len(patches), 2), np.int64)

@@ -29,10 +29,10 @@ from jaxtyping import Float, Int
 
 from slefejax.arguments import Patches, check_concrete, check_patches, whole_numbers
 from slefejax.errors import InputError
-from slefejax.geometry.bezier import bernstein, combine
+from slefejax.geometry.evaluate import evaluate_grid
 from slefejax.geometry.view import View
 from slefejax.lanes import layout, loops, passes
-from slefejax.measure.surface import Surface, distance
+from slefejax.measure.surface import Surface, distance, of_patches
 from slefejax.tessellator.levels import MOST_LEVEL
 
 _LATTICE = 10  # q: intervals of the samples' lattice along each side
@@ -63,7 +63,7 @@ class Supremum(NamedTuple):
 def sampled_error(patches: Patches, factors: Any, view: View) -> Float[np.ndarray, "patches"]:
     """The largest error of every patch in pixels, cut uniformly, over its visible domain and both diagonals of a cell.
 
-    patches : control points ``(patches, du+1, dv+1, 3)``, or 4 at the end if rational
+    patches : control points ``(patches, du+1, dv+1, 3)``, or 4 at the end if rational; or ``GregoryPatches``
     factors : whole numbers ``(patches,)``, or ``(patches, 2)`` along u and v, or a ``Factors``; 0: not drawn, error 0
     returns : ``(patches,)`` float64, known to 1 % but where the view volume cuts triangles (module docstring), and
               never too large; infinite where a visible sample has exact W <= 0
@@ -82,11 +82,11 @@ def sampled_error(patches: Patches, factors: Any, view: View) -> Float[np.ndarra
 def worst_points(patches: Patches, factors: Any, view: View) -> Supremum:
     """``sampled_error`` and the parameters of the maxima. Arguments and errors as there."""
     check_concrete("sampled_error", patches, factors, view)
-    patches = np.asarray(check_patches(patches))
-    levels = level_pairs(factors, len(patches))
-    surface = Surface.of(patches, view)
+    given = check_patches(patches, gregory=True)
+    levels = level_pairs(factors, len(given))
+    surface = Surface.of(given, view)
     parts = [_worst_of(surface, chosen, levels[chosen]) for chosen in _blocks(_window_counts(levels)) if chosen.size]
-    result = Supremum(np.zeros(len(patches)), *(np.full(len(patches), np.nan) for _ in range(2)))
+    result = Supremum(np.zeros(len(given)), *(np.full(len(given), np.nan) for _ in range(2)))
     for chosen, part in parts:
         for whole, own in zip(result, part, strict=True):
             whole[chosen] = own
@@ -128,12 +128,12 @@ def _cells_pass(packed: Any, control: Any, size: Any) -> Any:
 
 
 def _cell_kernel(lanes: Any, control: Any, size: Any) -> Any:
-    own = control[..., lanes[0].astype(jnp.int32)]
+    own = of_patches(control, lanes[0].astype(jnp.int32))
     u0, u1, v0, v1, a0, b0, side = (lanes[k] for k in range(1, 8))
     steps = jnp.asarray(np.arange(_LATTICE + 1) / _LATTICE)[:, None]
     a, b = a0 + side * steps, b0 + side * steps
-    exact = _tensor(own, u0 + a * (u1 - u0), v0 + b * (v1 - v0))
-    ends = _tensor(own, jnp.stack([u0, u1]), jnp.stack([v0, v1]))
+    exact = evaluate_grid(own, u0 + a * (u1 - u0), v0 + b * (v1 - v0))
+    ends = evaluate_grid(own, jnp.stack([u0, u1]), jnp.stack([v0, v1]))
     p00, p01, p10, p11 = (ends[:, i, j][:, None, None] for i in (0, 1) for j in (0, 1))
     a, b = a[:, None], b[None, :]
     rising = jnp.where(a >= b, p00 + a * (p10 - p00) + b * (p11 - p10), p00 + b * (p01 - p00) + a * (p11 - p01))
@@ -145,12 +145,6 @@ def _cell_kernel(lanes: Any, control: Any, size: Any) -> Any:
     at = jnp.argmax(flat, axis=0)
     place = jnp.stack([at // (_LATTICE + 1), at % (_LATTICE + 1)]) / _LATTICE
     return jnp.stack([jnp.max(flat, axis=0), a0 + side * place[0], b0 + side * place[1]])
-
-
-def _tensor(control: Any, u: Any, v: Any) -> Any:
-    """Points ``(4, us, vs, lanes)`` of patches ``(nu, nv, 4, lanes)``, u ``(us, lanes)`` with v ``(vs, lanes)``."""
-    rows = combine(control[:, :, :, None], bernstein(control.shape[0] - 1, u))
-    return combine(rows[:, :, :, None], bernstein(control.shape[1] - 1, v[None]))
 
 
 def _window_counts(levels: np.ndarray) -> np.ndarray:

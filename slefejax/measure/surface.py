@@ -8,14 +8,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from slefejax.arguments import on_host
 from slefejax.errors import InputError
+from slefejax.geometry.evaluate import as_control
+from slefejax.geometry.gregory import Twisted
 from slefejax.geometry.view import View, homogeneous
 
 UNSEEN = -1.0
 
 
-def undivided(patches: np.ndarray, view: View) -> Any:
+def undivided(patches: Any, view: View) -> Any:
     """Control points ``(du+1, dv+1, 4, patches)``: X/W, Y/W pixels from the lower left corner, Z/W window depth.
+
+    ``Twisted`` of Gregory patches, with twists ``(slots, 4, patches)``.
 
     Made once, not for every block of what is looked at.
 
@@ -24,9 +29,20 @@ def undivided(patches: np.ndarray, view: View) -> Any:
     >>> undivided(np.zeros((5, 4, 3, 3)), view).shape
     (4, 3, 4, 5)
     """
-    control = homogeneous(np.asarray(patches, np.float64)) @ np.asarray(view.world_to_screen).T
+    matrix = np.asarray(view.world_to_screen).T
+    control = as_control(on_host(patches))
+    if isinstance(control, Twisted):
+        twists = np.asarray(control.twists, np.float64) @ matrix[:3]
+        control = Twisted(homogeneous(np.asarray(control.net, np.float64)) @ matrix, twists)
+    else:
+        control = homogeneous(np.asarray(control, np.float64)) @ matrix
     with jax.enable_x64(True):
-        return jax.device_put(np.ascontiguousarray(np.moveaxis(control, 0, -1)))
+        return jax.device_put(jax.tree.map(lambda x: np.ascontiguousarray(np.moveaxis(x, 0, -1)), control))
+
+
+def of_patches(control: Any, which: Any) -> Any:
+    """Control points ``(..., patches)`` of some of the patches."""
+    return jax.tree.map(lambda x: x[..., which], control)
 
 
 class Surface(NamedTuple):
@@ -36,11 +52,12 @@ class Surface(NamedTuple):
     size: Any  # width and height of the picture in pixels
 
     @staticmethod
-    def of(patches: np.ndarray, view: View) -> Surface:
+    def of(patches: Any, view: View) -> Surface:
         """In float64. Raises InputError for a view that is none, or for control points that are not finite."""
         if not isinstance(view, View):
             raise InputError(f"the view must be a slefejax.View, not {type(view).__name__}")
-        bad = np.flatnonzero(~np.isfinite(np.asarray(patches)).all(axis=(1, 2, 3)))
+        finite = [np.isfinite(x).reshape(len(x), -1).all(axis=1) for x in jax.tree.leaves(as_control(on_host(patches)))]
+        bad = np.flatnonzero(~np.all(finite, axis=0))
         if bad.size:
             raise InputError(f"patch {bad[0]} (counted from 0) has control points that are not finite numbers")
         return Surface(undivided(patches, view), np.array([view.width, view.height], np.float64))

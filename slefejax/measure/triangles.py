@@ -15,11 +15,11 @@ from jaxtyping import Float, Int
 
 from slefejax.arguments import Patches, check_concrete, check_patches, real_numbers, whole_numbers
 from slefejax.errors import InputError
-from slefejax.geometry.bezier import evaluate_patch
+from slefejax.geometry.evaluate import evaluate
 from slefejax.geometry.view import View
 from slefejax.lanes import layout, loops, passes
 from slefejax.measure.supremum import Supremum, largest_of_each
-from slefejax.measure.surface import Surface, distance
+from slefejax.measure.surface import Surface, distance, of_patches
 
 _LATTICE = 10  # intervals along each edge
 _COARSEST = 1 / 6  # a triangle that is longer than this in the domain is cut before it is sampled
@@ -40,7 +40,7 @@ class DomainTriangles(NamedTuple):
 def triangle_error(patches: Patches, triangles: Any, view: View) -> Float[np.ndarray, "patches"]:
     """The largest error of every patch in pixels over the visible part of given triangles.
 
-    patches   : control points ``(patches, du+1, dv+1, 3)``, or 4 at the end if rational
+    patches   : control points ``(patches, du+1, dv+1, 3)``, or 4 at the end if rational; or ``GregoryPatches``
     triangles : what ``slefejax.triangulate`` or ``slefejax.gpu.Renderer.capture`` returns, or anything else with
                 ``.patch`` ``(triangles,)`` and ``.parameters`` ``(triangles, 3, 2)``: a ``DomainTriangles``
     returns   : ``(patches,)`` float64, known as well as ``sampled_error``; 0 for a patch without a visible triangle
@@ -53,10 +53,10 @@ def triangle_error(patches: Patches, triangles: Any, view: View) -> Float[np.nda
 
 def worst_triangle_points(patches: Patches, triangles: Any, view: View) -> Supremum:
     """``triangle_error`` and the parameters of the maxima."""
-    patches = np.asarray(check_patches(patches))
-    patch, parameters = _checked(triangles, len(patches))
-    surface = Surface.of(patches, view)
-    error, place = np.zeros(len(patches)), np.full((len(patches), 2), np.nan)
+    given = check_patches(patches, gregory=True)
+    patch, parameters = _checked(triangles, len(given))
+    surface = Surface.of(given, view)
+    error, place = np.zeros(len(given)), np.full((len(given), 2), np.nan)
     order = np.argsort(patch, kind="stable")
     for part in _whole_patches(patch[order]):
         chosen = order[part]
@@ -151,12 +151,12 @@ _PLACES = np.array([(i, j, _LATTICE - i - j) for i in range(_LATTICE + 1) for j 
 
 
 def _triangle_kernel(lanes: Any, control: Any, size: Any) -> Any:
-    own = control[..., lanes[0].astype(jnp.int32)]
+    own = jax.tree.map(lambda x: x[..., None, :], of_patches(control, lanes[0].astype(jnp.int32)))
     u, v = lanes[1:7:2], lanes[2:7:2]  # (3, lanes) each
     part = lanes[7:16].reshape(3, 3, -1)
     shares = jnp.einsum("pk,kcl->pcl", jnp.asarray(_PLACES / _LATTICE), part)  # barycentric, (places, 3, lanes)
-    exact = evaluate_patch(own[:, :, :, None], *(jnp.sum(shares * t, axis=1) for t in (u, v)))
-    ends = evaluate_patch(own[:, :, :, None], u, v)  # (4, 3, lanes)
+    exact = evaluate(own, *(jnp.sum(shares * t, axis=1) for t in (u, v)))
+    ends = evaluate(own, u, v)  # (4, 3, lanes)
     drawn = jnp.sum(shares * ends[:, None], axis=2)
     error = distance(exact, drawn, size)
     at = jnp.argmax(error, axis=0)

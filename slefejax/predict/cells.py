@@ -16,7 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from slefejax.bounds.twists import OnBox, on_box
 from slefejax.geometry.bezier import bernstein
+from slefejax.geometry.gregory import Twisted, twist_basis
 from slefejax.geometry.projection import Projection, reaches, undivided
 from slefejax.geometry.view import homogeneous
 from slefejax.lanes import loops, nets, passes
@@ -35,39 +37,48 @@ _HIGHEST = 128  # factors above are left as they are: proofs take time as the sq
 _TRIED = 16  # numbers below a factor that are tried, at most
 _EVEN = np.minimum(np.arange(_HIGHEST + 1) / np.maximum(np.arange(_HIGHEST + 1), 1)[:, None], 1.0)
 _BATCH = 2**16  # cells or triangles that are held at once
+_NEAR = 1.4  # errors up to that may turn out to be 1
+_HALVINGS = 3
+_QUARTERS = np.array([[0, 0], [0, 1], [1, 0], [1, 1]], float)
+_IN_QUARTERS = np.indices((5, 5)).reshape(2, 25, 1) / 4.0
 
 
 class Pictured(NamedTuple):
     """Patches on the screen, float64, patches last; rows X, Y and Z over their tolerances, W."""
 
     control: np.ndarray  # (nu, nv, 4, patches)
+    twists: np.ndarray  # (slots, 4, patches) of Gregory patches; no slots of others
     half: np.ndarray  # (3,)
     sizes: np.ndarray  # (4, patches): of the terms that coefficients are summed from
     floor: np.ndarray  # (patches,): W of visible points is at least this
     rows: int  # 3 with a depth tolerance, else 2
 
     @staticmethod
-    def of(patches: np.ndarray, projection: Projection, tolerances: tuple[Any, Any]) -> Pictured:
+    def of(patches: Any, projection: Projection, tolerances: tuple[Any, Any]) -> Pictured:
         """From control points in the world."""
+        patches, twists = patches if isinstance(patches, Twisted) else (patches, np.zeros((len(patches), 0, 3)))
         depth = 1.0 if tolerances[1] is None else float(tolerances[1])
         scale = 1.0 / np.array([float(tolerances[0]), float(tolerances[0]), depth, 1.0])
         matrix = np.asarray(projection.to_pixels, np.float64) * scale[:, None]
         points = projection.relative(np.moveaxis(homogeneous(np.asarray(patches, np.float64)), 0, -1))
         control = np.stack(undivided(matrix, nets.coordinates(points, unrolled=False)), axis=2)
         largest = np.abs(points).max(axis=(0, 1))
+        largest[:3] += np.abs(twists).sum(axis=1).T
         if patches.shape[-1] == 4:
             # coordinates times weights were taken off
             largest[:3] += np.abs(projection.origin)[:, None] * largest[3]
         sizes = np.einsum("rc,cp->rp", np.abs(matrix), largest)
         half = np.asarray(projection.half, np.float64) * scale[:3]
         floor = float(projection.near_w) * points[:, :, 3].min(axis=(0, 1))
-        return Pictured(control, half, sizes, floor, 2 if tolerances[1] is None else 3)
+        turned = np.einsum("rc,psc->srp", matrix[:, :3], np.asarray(twists, np.float64))
+        return Pictured(control, turned, half, sizes, floor, 2 if tolerances[1] is None else 3)
 
     def page(self, count: int) -> list[np.ndarray]:
         """For so many patches, with zeros behind the last; control points patches first, so that one's lie together."""
         missing = count - self.control.shape[-1]
         more = lambda x: np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, missing)])  # noqa: E731
-        return [np.moveaxis(more(self.control), -1, 0), self.half, more(self.sizes), more(self.floor)]
+        first = [np.moveaxis(more(x), -1, 0) for x in (self.control, self.twists)]
+        return [*first, self.half, more(self.sizes), more(self.floor)]
 
 
 class Pictures:
@@ -136,12 +147,37 @@ def triangle_errors(
     return pictures.through(_triangles_pass, patch, corners.reshape(-1, 6))
 
 
+def _closer(pictures: Pictures, patch: np.ndarray, low: np.ndarray, high: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """The same errors of cells; those that are just above 1 are looked at part by part."""
+    near = np.flatnonzero((error > 1.0) & (error < _NEAR))
+    windows, settled = np.tile([0.0, 0.0, 1.0], (len(near), 1)), np.zeros(len(error))
+    for _ in range(_HALVINGS):
+        if not len(near):
+            break
+        place, side = windows[:, None, :2] + 0.5 * windows[:, 2, None, None] * _QUARTERS, 0.5 * windows[:, 2]
+        windows = np.concatenate([place, np.broadcast_to(side[:, None, None], (*place.shape[:2], 1))], axis=2)
+        cell, windows = np.repeat(near, 4), windows.reshape(-1, 3)
+        found = pictures.through(_windows_pass, patch[cell], low[cell], high[cell], windows)
+        worst = settled.copy()
+        np.maximum.at(worst, cell, found)
+        error[near] = np.minimum(error[near], worst[near])
+        again = (found > 1.0) & (worst[cell] < _NEAR)
+        np.maximum.at(settled, cell[found <= 1.0], found[found <= 1.0])
+        near, windows = cell[again], windows[again]
+    return error
+
+
 def grid_errors(
-    pictures: Pictures, patch: Int[np.ndarray, "n"], levels: Int[np.ndarray, "n 2"], lines: Float[np.ndarray, "n m"]
+    pictures: Pictures,
+    patch: Int[np.ndarray, "n"],
+    levels: Int[np.ndarray, "n 2"],
+    lines: Float[np.ndarray, "n m"],
+    closer: bool = False,
 ) -> Float[np.ndarray, "n"]:
     """The same of patches cut into that many cells along u and v.
 
-    lines : ``(levels + 1, lines)``, where the lines of a grid are, by its level
+    lines  : ``(levels + 1, lines)``, where the lines of a grid are, by its level
+    closer : cells just above 1 are looked at part by part, whose bounds are tighter
     """
     counts = levels.prod(axis=1)
     ends = np.cumsum(counts)
@@ -151,7 +187,13 @@ def grid_errors(
         which = np.searchsorted(ends, index, side="right")
         cell = np.stack(np.divmod(index - (ends[which] - counts[which]), levels[which, 1]), axis=1)
         low, high = (lines[levels[which], cell + k] for k in (0, 1))
-        np.maximum.at(worst, which, cell_errors(pictures, patch[which], low, high))
+        error = cell_errors(pictures, patch[which], low, high)
+        if closer:
+            bad = np.zeros(len(worst), bool)
+            bad[which[error >= _NEAR]] = True
+            own = np.flatnonzero(~bad[which])
+            error[own] = _closer(pictures, patch[which[own]], low[own], high[own], error[own])
+        np.maximum.at(worst, which, error)
     return worst
 
 
@@ -165,7 +207,7 @@ def verified_factors(factor: Float[np.ndarray, "patches"], pictures: Pictures) -
     open_ones = np.flatnonzero((trial >= 1) & (factor <= _HIGHEST))
     for _ in range(_TRIED):
         levels = np.repeat(trial[open_ones, None], 2, axis=1)
-        fine = grid_errors(pictures, open_ones, levels, _EVEN) <= 1.0
+        fine = grid_errors(pictures, open_ones, levels, _EVEN, closer=True) <= 1.0
         open_ones = open_ones[fine]
         factor[open_ones] = trial[open_ones]
         trial[open_ones] -= 1
@@ -173,21 +215,85 @@ def verified_factors(factor: Float[np.ndarray, "patches"], pictures: Pictures) -
     return factor
 
 
-@passes.as_pass(5)
-def _cells_pass(packed: Any, control: Any, half: Any, sizes: Any, floor: Any, rows: int) -> Any:
-    return loops.over_chunks(partial(_cell_error, rows=rows), packed, control, half, sizes, floor)
+@passes.as_pass(6)
+def _cells_pass(packed: Any, control: Any, twists: Any, half: Any, sizes: Any, floor: Any, rows: int) -> Any:
+    return loops.over_chunks(partial(_cell_error, rows=rows), packed, control, twists, half, sizes, floor)
 
 
-@passes.as_pass(5)
-def _triangles_pass(packed: Any, control: Any, half: Any, sizes: Any, floor: Any, rows: int) -> Any:
-    return loops.over_chunks(partial(_triangle_error, rows=rows), packed, control, half, sizes, floor)
+@passes.as_pass(6)
+def _windows_pass(packed: Any, control: Any, twists: Any, half: Any, sizes: Any, floor: Any, rows: int) -> Any:
+    return loops.over_chunks(partial(_window_error, rows=rows), packed, control, twists, half, sizes, floor)
+
+
+@passes.as_pass(6)
+def _triangles_pass(packed: Any, control: Any, twists: Any, half: Any, sizes: Any, floor: Any, rows: int) -> Any:
+    return loops.over_chunks(partial(_triangle_error, rows=rows), packed, control, twists, half, sizes, floor)
+
+
+class _Places(NamedTuple):
+    """Where a part of a patch is looked at, and its twist terms there: the same for all rows."""
+
+    along: list[Any]  # Bernstein polynomials of the box at the places along u, and along v
+    terms: list[Any]  # what every twist is multiplied with, (places, lanes)
+    middle: list[Lanes]  # the same in the box' middle
+    on_box: list[OnBox]
+    shares: list[Any]  # of windows: for either diagonal, of the cell's corners in what is drawn, (places, lanes) each
+
+
+class _Polynomial(NamedTuple):
+    """One polynomial of a part of a patch, and its twist terms' numbers."""
+
+    net: Net
+    twists: list[Lanes]
+    corners: list[Lanes]  # of windows: the values at the corners of the cell
+
+    def less(self, s: Lanes, other: _Polynomial) -> _Polynomial:
+        """This one less s times another one."""
+        net = nets.each(lambda x, d: x - s * d, self.net, other.net)
+        lists = ((self.twists, other.twists), (self.corners, other.corners))
+        return _Polynomial(net, *([x - s * d for x, d in zip(*pair, strict=True)] for pair in lists))
+
+    def drawn(self, diagonal: int, places: _Places) -> Any:
+        """What is drawn of a window's cell at the places, ``(places, lanes)``."""
+        return nets.total([c * k for c, k in zip(self.corners, places.shares[diagonal], strict=True)])
+
+    def at(self, values: list[Lanes], places: _Places) -> list[Lanes]:
+        """The values at all places, from the net's alone."""
+        if not self.twists:
+            return values
+        more = nets.total([t * b for t, b in zip(self.twists, places.terms, strict=True)])
+        return [value + more[k] for k, value in enumerate(values)]
+
+    def middle(self, places: _Places) -> Lanes:
+        """The value in the box' middle."""
+        return self._with(_middle(self.net), self.twists, places.middle)
+
+    def centred(self, places: _Places) -> Net:
+        """A net within ``swing`` of which all values lie."""
+        return nets.each(lambda x: self._with(x, self.twists, places.middle), self.net)
+
+    def swing(self, places: _Places) -> Lanes:
+        """How far the twist terms are at most from what they are in the middle."""
+        return self._with(jnp.zeros_like(self.net[0, 0]), self._sizes, [own.swing for own in places.on_box])
+
+    def rest(self, places: _Places) -> Lanes:
+        """What they differ at most from the quadratics."""
+        return self._with(jnp.zeros_like(self.net[0, 0]), self._sizes, [own.rest for own in places.on_box])
+
+    @property
+    def _sizes(self) -> list[Lanes]:
+        return [jnp.abs(t) for t in self.twists]
+
+    def _with(self, value: Lanes, numbers: list[Lanes], terms: list[Lanes]) -> Lanes:
+        return nets.total([value, *(t * b for t, b in zip(numbers, terms, strict=True))])
 
 
 class _Part(NamedTuple):
     """A part of a patch: what lies in a box of the domain."""
 
-    rows: list[Net]  # of X, Y (and Z) less s W, with an s of the box's middle
-    w: Net
+    rows: list[_Polynomial]  # of X, Y (and Z) less s W, with an s of the box's middle
+    w: _Polynomial
+    places: _Places
     least: Lanes  # W is at least that
     deep: Lanes  # and that is away from 0
     far: list[Lanes]  # how far s can be from that of the middle, for every row
@@ -196,55 +302,179 @@ class _Part(NamedTuple):
 
     @staticmethod
     def of(
-        pictured: tuple[Any, ...], patch: Lanes, low: list[Lanes], high: list[Lanes], rows: int, whole: bool
+        pictured: tuple[Any, ...],
+        patch: Lanes,
+        low: list[Lanes],
+        high: list[Lanes],
+        rows: int,
+        inside: list[Any] | None = None,
+        window: _Window | None = None,
     ) -> _Part:
-        """whole : all of the box is drawn, from corner to corner; else some triangle in it."""
-        control, half, sizes, floor = pictured
+        """A cell, if nothing else is said.
+
+        inside : places in the box of the corners and middles of a triangle, along u and v
+        window : which part of which cell this is
+        """
+        control, twists, half, sizes, floor = pictured
         index = patch.astype(jnp.int32)
         # once: other fusions would gather again
         own, size = loops.once(jnp.moveaxis(control[index], 0, -1)), sizes[:, index]
         few = own.shape[0] * own.shape[1] <= TUNING.unrolled_coefficients
         along = [nets.restricting(n, a, b) for n, a, b in zip(own.shape[:2], low, high, strict=True)]
-        *every, w = (nets.restricted(net, *along) for net in nets.coordinates(own, few))
-        least = nets.bottom(w) - _ROUNDING * size[3]
+        slots, spun = twists.shape[1], loops.once(jnp.moveaxis(twists[index], 0, -1))
+        turned = [[spun[k, a] for k in range(slots)] for a in range(4)]
+        whole = nets.coordinates(own, few)
+        corners = [[]] * 4 if window is None else [window.corners(*both) for both in zip(whole, turned, strict=True)]
+        restricted = [nets.restricted(net, *along) for net in whole]
+        *every, w = (_Polynomial(*parts) for parts in zip(restricted, turned, corners, strict=True))
+        places = _places(low, high, inside, window, slots, own.shape[:2])
+        swing = [own.swing(places) for own in (*every, w)] if slots else [0.0] * 4
+        least = nets.bottom(w.centred(places)) - swing[-1]
+        if window is not None:
+            least = smaller(least, nets.bottom(_drawn_corners(w, places)))
+        least = least - _ROUNDING * size[3]
         deep = least >= 0.5 * floor[index]
         least = jnp.where(deep, least, 1.0)
-        drawn = [_corners(net) if whole else net for net in (*every, w)]
-        planes = [_outside(net, drawn[-1], half[k], size[k], size[3]) for k, net in enumerate(drawn[:-1])]
-        middle = _middle(w)
+        outline = _corners if window is None else _drawn_corners
+        drawn = [outline(own, places) if inside is None else own.centred(places) for own in (*every, w)]
+        room = [0.0] * 3 if inside is None else [swing[k] + half[k] * swing[-1] for k in range(3)]
+        planes = [_outside(net, drawn[-1], half[k], size[k], size[3], room[k]) for k, net in enumerate(drawn[:-1])]
+        middle = w.middle(places)
         relative, far, blur = [], [], []
         for k in range(rows):
-            s = jnp.clip(_middle(every[k]) / jnp.where(deep, middle, 1.0), -half[k], half[k])
-            net = nets.each(lambda x, d, s=s: x - s * d, every[k], w)
-            relative.append(net)
-            far.append(nets.top(nets.each(jnp.abs, net)) / least)
+            s = jnp.clip(every[k].middle(places) / jnp.where(deep, middle, 1.0), -half[k], half[k])
+            relative.append(every[k].less(s, w))
+            largest = nets.top(nets.each(jnp.abs, relative[-1].centred(places)))
+            far.append((largest + relative[-1].swing(places) if slots else largest) / least)
             blur.append(_ROUNDING * (size[k] + half[k] * size[3]))
-        return _Part(relative, w, least, deep, far, blur, reduce(jnp.logical_or, planes))
+        return _Part(relative, w, places, least, deep, far, blur, reduce(jnp.logical_or, planes))
 
     def error(self, measured: Any) -> Lanes:
         """The largest error, for what measures the interpolation error of one polynomial from above."""
-        of_w, worst = measured(self.w), jnp.zeros_like(self.least)
-        for net, far, blur in zip(self.rows, self.far, self.blur, strict=True):
+        of_w, worst = measured(self.w, self.places), jnp.zeros_like(self.least)
+        for own, far, blur in zip(self.rows, self.far, self.blur, strict=True):
             # linear in s, and a seminorm
-            worst = larger(worst, (measured(net) + far * of_w + blur) / self.least)
+            worst = larger(worst, (measured(own, self.places) + far * of_w + blur) / self.least)
         return jnp.where(self.unseen, 0.0, jnp.where(self.deep, worst, jnp.inf))
 
 
+class _Window(NamedTuple):
+    """A part of a cell: a square of its local coordinates."""
+
+    low: list[Lanes]  # of the cell
+    high: list[Lanes]
+    first: list[Lanes]  # corner of the square, from 0 to 1
+    side: Lanes
+
+    @property
+    def box(self) -> tuple[list[Lanes], list[Lanes]]:
+        """The square in the patch."""
+        sizes = [b - a for a, b in zip(self.low, self.high, strict=True)]
+        low = [a + t * size for a, t, size in zip(self.low, self.first, sizes, strict=True)]
+        return low, [a + self.side * size for a, size in zip(low, sizes, strict=True)]
+
+    def corners(self, net: Net, twists: list[Lanes]) -> list[Lanes]:
+        """Values at the cell's corners, counter-clockwise."""
+        found = []
+        (u0, v0), (u1, v1) = self.low, self.high
+        for u, v in ((u0, v0), (u1, v0), (u1, v1), (u0, v1)):
+            basis = [bernstein(n - 1, t) for n, t in zip(net.shape[:2], (u, v), strict=True)]
+            terms = twist_basis(len(twists), u, v) if twists else []
+            own = zip(twists, terms, strict=True)
+            found.append(nets.total([nets.combined_at(net, *basis), *(t * b for t, b in own)]))
+        return found
+
+    @property
+    def shares(self) -> list[tuple[Any, ...]]:
+        """Of these corners in what is drawn at quarters of the square, for the rising diagonal and the other."""
+        x, y = (t + self.side * k for t, k in zip(self.first, _IN_QUARTERS, strict=True))
+        zero, one = jnp.zeros_like(x), jnp.ones_like(x)
+        rising = 1.0 - larger(x, y), larger(x - y, zero), smaller(x, y), larger(y - x, zero)
+        beyond = larger(x + y - one, zero)
+        falling = larger(one - x - y, zero), smaller(x, one - y), beyond, smaller(y, one - x)
+        return [rising, falling]
+
+
+def _places(
+    low: list[Lanes], high: list[Lanes], inside: Any, window: _Window | None, slots: int, shape: Any
+) -> _Places:
+    """Of a cell all multiples of a quarter, row by row, or of a triangle those inside of the box."""
+    shares = [] if window is None else window.shares
+    if inside is None:
+        along: list[Any] = [_quarters(n) for n in shape]
+    else:
+        along = [[bernstein(n - 1, t) for t in own] for n, own in zip(shape, inside, strict=True)]
+    if not slots:
+        return _Places(along, [], [], [], shares)
+
+    def terms(u: Any, v: Any) -> list[Lanes]:
+        place = (a + t * (b - a) for a, b, t in zip(low, high, (u, v), strict=True))
+        return twist_basis(slots, *place)
+
+    own = terms(*(_IN_QUARTERS if inside is None else (jnp.stack(x) for x in inside)))
+    return _Places(along, own, terms(0.5, 0.5), on_box(slots, low, high, inside is None), shares)
+
+
 def _cell_error(lanes: Any, *pictured: Any, rows: int) -> Lanes:
-    return _Part.of(pictured, lanes[0], [lanes[1], lanes[2]], [lanes[3], lanes[4]], rows, True).error(_of_cell)
+    return _Part.of(pictured, lanes[0], [lanes[1], lanes[2]], [lanes[3], lanes[4]], rows).error(_of_cell)
+
+
+def _window_error(lanes: Any, *pictured: Any, rows: int) -> Lanes:
+    patch, *own, side = lanes
+    window = _Window(own[:2], own[2:4], own[4:], side)
+    return _Part.of(pictured, patch, *window.box, rows, window=window).error(_of_window)
 
 
 def _triangle_error(lanes: Any, *pictured: Any, rows: int) -> Lanes:
     u, v = lanes[1::2], lanes[2::2]
     low, high = ([reduce(choose, x) for x in (u, v)] for choose in (smaller, larger))
     inside = [_inside(x, a, b) for x, a, b in zip((u, v), low, high, strict=True)]
-    return _Part.of(pictured, lanes[0], low, high, rows, False).error(partial(_of_triangle, places=inside))
+    return _Part.of(pictured, lanes[0], low, high, rows, inside).error(_of_triangle)
 
 
-def _of_cell(net: Net) -> Lanes:
+def _of_cell(own: _Polynomial, places: _Places) -> Lanes:
     """The interpolation error of a polynomial on a cell, for both diagonals."""
-    at = nets.combined(net, *(_quarters(n) for n in net.shape[:2]))
-    return reduce(larger, [_of_halves(at, rising) for rising in (True, False)]) + _rest(net) / 8.0
+    at = _at_quarters(own, places)
+    corners = at[0, 0], at[-1, 0], at[-1, -1], at[0, -1]
+    halves = []
+    for rising in (True, False):
+        error = np.empty((5, 5), object)
+        for i, j in np.ndindex(5, 5):
+            drawn = [(p, k) for p, k in zip(corners, _shares(i / 4, j / 4, rising), strict=True) if k]
+            # of corners, exactly
+            exact = len(drawn) == 1
+            error[i, j] = jnp.zeros_like(at[0, 0]) if exact else at[i, j] - nets.total([p * k for p, k in drawn])
+        halves.append(_of_halves(error, rising, []))
+    return reduce(larger, halves) + _beyond_quarters(own, places)
+
+
+def _of_window(own: _Polynomial, places: _Places) -> Lanes:
+    """The same on a part of a cell, a square along whose diagonals it is cut too, if at all."""
+    at = _at_quarters(own, places)
+    halves = []
+    for diagonal, rising in enumerate((True, False)):
+        error = np.empty((5, 5), object)
+        drawn = own.drawn(diagonal, places)
+        for i, j in np.ndindex(5, 5):
+            error[i, j] = at[i, j] - drawn[5 * i + j]
+        halves.append(_of_halves(error, rising, [error[i, j] for i in (0, -1) for j in (0, -1)]))
+    return reduce(larger, halves) + _beyond_quarters(own, places)
+
+
+def _at_quarters(own: _Polynomial, places: _Places) -> Net:
+    at = nets.combined(own.net, *places.along)
+    return at if not own.twists else nets.objects([own.at(list(at.reshape(25, *at.shape[2:])), places)]).reshape(5, 5)
+
+
+def _beyond_quarters(own: _Polynomial, places: _Places) -> Lanes:
+    """What differs from the quadratics on quarters of both halves."""
+    found = _rest(own.net) / 8.0
+    return found + own.rest(places) if own.twists else found
+
+
+def _drawn_corners(own: _Polynomial, places: _Places) -> Net:
+    """What is drawn at the corners of a window, for either diagonal."""
+    return nets.objects([[own.drawn(d, places)[20 * i + 4 * j] for i in (0, 1) for j in (0, 1)] for d in (0, 1)])
 
 
 def _quarters(count: int) -> list[list[float]]:
@@ -252,15 +482,9 @@ def _quarters(count: int) -> list[list[float]]:
     return [[float(b) for b in bernstein(count - 1, np.float64(k / 4))] for k in range(5)]
 
 
-def _of_halves(at: Net, rising: bool) -> Lanes:
-    """From the values at multiples of a quarter: Bézier coefficients of the quadratics on quarters of both halves."""
-    corners = at[0, 0], at[-1, 0], at[-1, -1], at[0, -1]
-    error = np.empty((5, 5), object)
-    for i, j in np.ndindex(5, 5):
-        drawn = [(p, k) for p, k in zip(corners, _shares(i / 4, j / 4, rising), strict=True) if k]
-        # of corners, exactly
-        error[i, j] = jnp.zeros_like(at[0, 0]) if len(drawn) == 1 else at[i, j] - nets.total([p * k for p, k in drawn])
-    found = [error[0, 2], error[2, 0], error[2, 2], error[2, 4], error[4, 2]]
+def _of_halves(error: Net, rising: bool, corners: list[Lanes]) -> Lanes:
+    """From errors at multiples of a quarter: Bézier coefficients of the quadratics on quarters of both halves."""
+    found = [*corners, error[0, 2], error[2, 0], error[2, 2], error[2, 4], error[4, 2]]
     for i, j in np.ndindex(5, 5):
         if i % 2 or j % 2:
             # the ends of the side whose middle this is
@@ -276,12 +500,13 @@ def _shares(x: float, y: float, rising: bool) -> tuple[float, ...]:
     return max(1 - x - y, 0.0), min(x, 1 - y), max(x + y - 1, 0.0), min(y, 1 - x)
 
 
-def _of_triangle(net: Net, places: list[list[Lanes]]) -> Lanes:
-    """The same on a triangle, whose corners and middles of sides lie there."""
-    basis = [[bernstein(n - 1, t) for t in own] for n, own in zip(net.shape[:2], places, strict=True)]
-    at = [nets.combined_at(net, u, v) for u, v in zip(*basis, strict=True)]
+def _of_triangle(own: _Polynomial, places: _Places) -> Lanes:
+    """The same on a triangle, whose corners and middles of sides are the places."""
+    at = own.at([nets.combined_at(own.net, *at) for at in zip(*places.along, strict=True)], places)
     a, b, c = (at[3 + k] - 0.5 * (at[k] + at[(k + 1) % 3]) for k in range(3))
-    return reduce(smaller, [_of_quadratic(*own) for own in ((a, b, c), (b, c, a), (c, a, b))]) + _rest(net)
+    quadratic = reduce(smaller, [_of_quadratic(*one) for one in ((a, b, c), (b, c, a), (c, a, b))])
+    found = quadratic + _rest(own.net)
+    return found + own.rest(places) if own.twists else found
 
 
 def _of_quadratic(one: Lanes, other: Lanes, last: Lanes) -> Lanes:
@@ -324,12 +549,17 @@ def _inside(places: Any, low: Lanes, high: Lanes) -> list[Lanes]:
     return [*own, *(0.5 * (own[k] + own[(k + 1) % 3]) for k in range(3))]
 
 
-def _corners(net: Net) -> Net:
-    return nets.objects([[net[i, j] for j in (0, -1)] for i in (0, -1)])
+def _corners(own: _Polynomial, places: _Places) -> Net:
+    """The values at the corners of a cell."""
+    values = [own.net[-i, -j] for i in (0, 1) for j in (0, 1)]
+    if own.twists:
+        ends = np.array([0, 4, 20, 24])
+        values = own.at(values, places._replace(terms=[b[ends] for b in places.terms]))
+    return nets.objects([values[:2], values[2:]])
 
 
-def _outside(net: Net, w: Net, half: Any, size: Lanes, w_size: Lanes) -> Lanes:
+def _outside(net: Net, w: Net, half: Any, size: Lanes, w_size: Lanes, room: Any) -> Lanes:
     """Whether points lie outside of one of two opposite planes of the view volume."""
-    margin = _ROUNDING * (size + half * w_size)
+    margin = _ROUNDING * (size + half * w_size) + room
     low, high = reaches(net, w, half)
     return (low + margin < 0) | (high + margin < 0)

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from slefejax.bounds.triangles import AnyTriangle, HalfCells
+from slefejax.geometry.evaluate import as_control
 from slefejax.geometry.projection import Projection
 from slefejax.lanes import layout, loops, passes
 from slefejax.lanes.memory import Memory
@@ -38,7 +39,7 @@ class Certificate:
                  times the tolerance are allowed
     """
 
-    given: Callable[[], tuple[np.ndarray, Projection]]
+    given: Callable[[], tuple[Any, Projection]]
     tolerances: tuple[Any, Any]
     tiles: int
     pattern: Pattern
@@ -48,12 +49,12 @@ class Certificate:
     scale: float = 1.0
 
     @cached_property
-    def _given(self) -> tuple[np.ndarray, Projection]:
+    def _given(self) -> tuple[Any, Projection]:
         return self.given()
 
     @property
-    def patches(self) -> Float[np.ndarray, "patches nu nv dim"]:
-        """Control points relative to the projection's origin."""
+    def patches(self) -> Any:
+        """Control points relative to the projection's origin, or ``GregoryPatches``."""
         return self._given[0]
 
     @property
@@ -65,9 +66,7 @@ class Certificate:
         """The same for levels of so many times the fineness."""
         return replace(self, scale=self.scale * scale)
 
-    def factors(
-        self, nets: Float[np.ndarray, "n nu nv dim"], extents: Float[np.ndarray, "n 2"], evenness: Any = 1.0
-    ) -> Float[np.ndarray, "n"]:
+    def factors(self, nets: Any, extents: Float[np.ndarray, "n 2"], evenness: Any = 1.0) -> Float[np.ndarray, "n"]:
         """Certified factors of control nets for halves of boxes of sides extent/n; 0 for an unseen patch.
 
         evenness : of boxes with sides from so many times that on, ``(n,)`` or a number; 0: of all smaller boxes
@@ -127,13 +126,13 @@ class Certificate:
         return self.scale**2 * self.memory.recall("rings", patch, given, find)
 
     def triangles_keep(
-        self, nets: Float[np.ndarray, "n nu nv dim"], along: Int[np.ndarray, "n"], length: Float[np.ndarray, "n"]
+        self, nets: Any, along: Int[np.ndarray, "n"], length: Float[np.ndarray, "n"], width: Any = 1.0
     ) -> Bool[np.ndarray, "n"]:
-        """Whether triangles of any shape, of a length along an axis of a net, keep the tolerance."""
+        """Whether triangles of any shape, of a length along an axis of a net and a width, keep the tolerance."""
         # what is tried is not shorter, whatever rounding does to it
         length = length * (1.0 + 8.0 * np.finfo(self.patches.dtype).eps)
-        size = np.sqrt(length)
-        extents = np.where((along == 0)[:, None], np.stack([size, 1.0 / size], 1), np.stack([1.0 / size, size], 1))
+        size, ratio = np.sqrt(length * width), np.sqrt(length / width)
+        extents = np.where((along == 0)[:, None], np.stack([ratio, 1.0 / ratio], 1), np.stack([1.0 / ratio, ratio], 1))
         return self.scale * size * self._through(_triangles_pass, nets, extents, self.tiles) <= 1.0
 
     @cached_property
@@ -158,7 +157,7 @@ class Certificate:
         factor = self.factors(self.patches[patch], extents, 0.0)[:, None]
         return self.pattern.levels_for(np.maximum(factor / extents, factor > 0))
 
-    def _through(self, compiled: Callable[..., Any], nets: np.ndarray, numbers: np.ndarray, *more: Any) -> np.ndarray:
+    def _through(self, compiled: Callable[..., Any], nets: Any, numbers: np.ndarray, *more: Any) -> np.ndarray:
         if not len(nets):
             return np.zeros(0)
         # unrolled they run six times as fast, and compile three times as long
@@ -167,7 +166,7 @@ class Certificate:
         def run(packed: Any) -> Any:
             return compiled(packed, self.projection, self.tolerances, *more, unrolled)
 
-        return layout.through(run, (nets, numbers), self.patches.dtype).astype(np.float64)
+        return layout.through(run, (as_control(nets), numbers), self.patches.dtype).astype(np.float64)
 
 
 @passes.as_pass(3, 4)

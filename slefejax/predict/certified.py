@@ -16,7 +16,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from slefejax.bounds.triangles import Extent, HalfCells, Triangles, sum_of_sizes
+from slefejax.bounds.twists import any_errors, even_errors, spreads, weighted
 from slefejax.geometry.bezier import tile_matrices
+from slefejax.geometry.gregory import Twisted
 from slefejax.geometry.projection import Projection, numbers, reaches, undivided
 from slefejax.lanes import loops, nets
 from slefejax.lanes.maxima import EXACT, Maxima, larger, smaller
@@ -31,7 +33,7 @@ _ROUNDING = 16.0  # a coefficient of a tile is wrong by at most half of this, in
 
 @loops.chunked
 def certified_factors(
-    control: Float[Array, "nu nv dim lanes"], projection: Projection, tolerances: Any, maxima: Maxima, *, tiles: int
+    control: Any, projection: Projection, tolerances: Any, maxima: Maxima, *, tiles: int
 ) -> Float[Array, "lanes"]:
     """``certified_factor`` of control points in the world; called with all chunks.
 
@@ -41,13 +43,13 @@ def certified_factors(
 
 
 @certified_factors.slopes
-def _slopes(control: Array, _: Any, projection: Projection, tolerances: Any, maxima: Maxima, *, tiles: int) -> Array:
+def _slopes(control: Any, _: Any, projection: Projection, tolerances: Any, maxima: Maxima, *, tiles: int) -> Array:
     near = projection.relative(control)
     return certified_factor(near, projection, tolerances, tiles=tiles, maxima=maxima, unrolled=False)
 
 
 def certified_factor(
-    control: Float[Array, "nu nv dim lanes"],
+    control: Any,
     projection: Projection,
     tolerances: Any,
     triangles: Triangles | None = None,
@@ -58,22 +60,25 @@ def certified_factor(
 ) -> Float[Array, "lanes"]:
     """A real n >= 1 from which on the bound of docs/certified.md is at most the tolerance; 0 for an unseen patch.
 
-    control    : relative to the projection's origin
+    control    : ``(nu, nv, dim, lanes)``, or ``Twisted`` of Gregory patches, relative to the projection's origin
     tolerances : in pixels, and of window depth or None
     triangles  : for which the bound holds from n on, wherever they are visible; None: all cells of grids
     maxima     : those that make n: over coefficients, both ends of the picture, coordinates, tiles. Whether a patch is
                  seen, and what it reaches of the picture, is exact in any case
     unrolled   : the form of the nets; None: what suits their degrees
     """
-    if unrolled is None:
-        few = control.shape[0] * control.shape[1] <= TUNING.unrolled_coefficients
-        unrolled = few and control.shape[2] == 3 and maxima.exact
+    if unrolled is None:  # twist terms would make loops that are not vectorised
+        net = control.net if isinstance(control, Twisted) else control
+        few = net.shape[0] * net.shape[1] <= TUNING.unrolled_coefficients
+        unrolled = bool(few and net.shape[2] == 3 and maxima.exact and net is control)
     shapes = HalfCells() if triangles is None else triangles
     screen = Screen.of(control, projection, tolerances, unrolled)
     bends = [_largest_sum(net, shapes.extent, maxima) for net in (*screen.rows[:2], screen.w)]
+    if screen.turns is not None:
+        bends = [b + screen.turns.bend(own, shapes) for b, own in zip(bends, screen.turns.all_but_depth, strict=True)]
     of_pieces = _of_the_whole if tiles == 1 else partial(_of_tiles, tiles=tiles)
     square = of_pieces(screen, shapes, bends, maxima)
-    rounded = 1.0 + 128.0 * jnp.finfo(control.dtype).eps
+    rounded = 1.0 + 128.0 * screen.eps
     # a bound that 1 fulfils is not rounded up: flat patches are one quad
     square = maxima.largest([square * rounded, jnp.ones_like(square)])
     return jnp.sqrt(jnp.where(screen.visible, square, 1.0)) * jnp.where(screen.visible, 1.0, 0.0)
@@ -81,7 +86,7 @@ def certified_factor(
 
 def _of_the_whole(screen: Screen, triangles: Triangles, bends: list[Lanes], maxima: Maxima) -> Lanes:
     """n^2 of patches in one piece: at least what the corners need, which is known without a second loop."""
-    whole = Piece.of(screen, screen.rows, screen.w, 1)
+    whole = Piece.of(screen, None, 1)
     least = _least_square(screen, whole, triangles.extent, maxima)
     square = _square(screen, whole, bends[2], triangles, maxima, 1.0 / jnp.sqrt(least))
     return maxima.largest([square, jnp.where(least > 1.0, least, 0.0)])
@@ -95,8 +100,7 @@ def _of_tiles(screen: Screen, triangles: Triangles, bends: list[Lanes], maxima: 
         if unrolled:
             # lanes all the same: with single numbers the compiler would split the loop
             matrices = jax.tree.map(lambda x: [[jnp.broadcast_to(c, lanes.shape) for c in row] for row in x], matrices)
-        *rows, w = (nets.combined(net, *matrices) for net in (*screen.rows, screen.w))
-        piece = Piece.of(screen, rows, w, tiles)
+        piece = Piece.of(screen, matrices, tiles)
         square = _square(screen, piece, bends[2], triangles, maxima, which=which)
         return maxima.largest([found, smaller(square, _last_visible(screen, piece, bends))]), None
 
@@ -121,10 +125,12 @@ class Screen(NamedTuple):
     eps: float
     visible: Lanes  # not all control points outside of one plane of the view volume
     rational: bool
+    turns: Turns | None  # of Gregory patches
 
     @staticmethod
-    def of(control: Array, projection: Projection, tolerances: Any, unrolled: bool) -> Screen:
+    def of(control: Any, projection: Projection, tolerances: Any, unrolled: bool) -> Screen:
         """From control points relative to the origin. An unseen patch may count as visible, never the reverse."""
+        control, twists = control if isinstance(control, Twisted) else (control, None)
         rational, (pixels, depth) = control.shape[2] == 4, tolerances
         scales = [1.0 / pixels, 1.0 / pixels, 1.0 if depth is None else 1.0 / depth]
         half = [extent * scale for extent, scale in zip(projection.half, scales, strict=True)]
@@ -135,20 +141,59 @@ class Screen(NamedTuple):
         # of rational patches coordinates times weights were taken off
         weight = largest[3] if rational else projection.rounded
         moved = [c + jnp.abs(o) * weight for c, o in zip(largest, projection.origin, strict=False)]
+        if twists is not None:
+            moved = [c + jnp.sum(jnp.abs(twists[:, a]), axis=0) for a, c in enumerate(moved)]
         largest = [*moved, largest[3] if rational else 1.0]
         *own, w_size = (nets.total([jnp.abs(m) * c for m, c in zip(row, largest, strict=True)]) for row in rows)
         sizes = [size + extent * w_size for size, extent in zip(own, half, strict=True)]
         eps = float(jnp.finfo(control.dtype).eps)
+        turns = None if twists is None else Turns.of(rows, twists, nets.degrees(w)[0], unrolled)
         inside = []
-        for net, extent, size in zip((x, y, z), half, sizes, strict=True):
+        for k, (net, extent, size) in enumerate(zip((x, y, z), half, sizes, strict=True)):
             error = _ROUNDING * eps * size
-            inside += [reach + error for reach in reaches(net, w, extent)]
+            inside += [reach + error for reach in _reaches(net, w, extent, turns, k)]
         # a reduction of stacked arrays would not be vectorised
         visible = reduce(jnp.logical_and, [reach >= 0 for reach in inside])
         weight = nets.bottom(points[3]) if rational else jnp.ones_like(largest[0])
         count = 2 if depth is None else 3
         floor = projection.near_w * weight
-        return Screen([x, y, z][:count], w, half[:count], floor, sizes[:count], w_size, eps, visible, rational)
+        return Screen([x, y, z][:count], w, half[:count], floor, sizes[:count], w_size, eps, visible, rational, turns)
+
+
+class Turns(NamedTuple):
+    """Twist terms of Gregory patches in undivided screen coordinates (docs/certified.md, 10)."""
+
+    every: list[list[Lanes]]  # of X, Y, Z and W, slot by slot
+    spread: list[Net]  # of the same: how far terms lie from 0
+
+    @staticmethod
+    def of(rows: list[list[Any]], twists: Array, degree: int, unrolled: bool) -> Turns:
+        """From twists ``(slots, 3, lanes)``, differences of points."""
+        every = [[nets.total([m * x for m, x in zip(row[:3], own, strict=True)]) for own in twists] for row in rows]
+        table = spreads(len(twists), degree)
+        return Turns(every, [weighted([jnp.abs(x) for x in own], table, unrolled) for own in every])
+
+    @property
+    def all_but_depth(self) -> list[list[Lanes]]:
+        """Of X, Y and W."""
+        return [*self.every[:2], self.every[3]]
+
+    def bend(self, twists: list[Lanes], triangles: Triangles) -> Lanes:
+        """8 times what terms err at most, anywhere, on triangles that lie in boxes of extent/n, times n^2."""
+        largest = larger(*(jnp.asarray(e, twists[0].dtype) for e in triangles.extent))
+        own = any_errors(len(twists))
+        return 8.0 * largest**2 * nets.total([jnp.abs(t) * float(c) for t, c in zip(twists, own, strict=True)])
+
+    def errors(self, k: int, s: Lanes, triangles: Triangles, piece: Piece) -> Net:
+        """The same for g_s of a row, coefficient by coefficient of a piece."""
+        own = [x - s * w for x, w in zip(self.every[k], self.every[3], strict=True)]
+        (e_u, e_v), unrolled = triangles.extent, nets.unrolled(piece.w)
+        even = isinstance(triangles, HalfCells) and isinstance(triangles.evenness, float) and triangles.evenness == 1.0
+        if not (even and isinstance(e_u, float) and isinstance(e_v, float) and e_u == e_v == 1.0):
+            whole = self.bend(own, triangles) / piece.scale
+            return nets.each(lambda c: jnp.zeros_like(c) + whole, piece.w)
+        table = even_errors(len(own), nets.degrees(piece.w)[0]) * (8.0 / piece.scale)
+        return piece.restricted(weighted([jnp.abs(x) for x in own], table, unrolled))
 
 
 class Piece(NamedTuple):
@@ -161,28 +206,42 @@ class Piece(NamedTuple):
     ends: list[tuple[Lanes, Lanes]]  # of the part of the picture, for every row
     within: list[Lanes]  # whether it ends inside of the picture, for every row
     scale: float  # second derivatives of the patch are these times those of the tile
+    matrices: Any  # that make a tile of a patch; None of the whole patch
+
+    def restricted(self, net: Net) -> Net:
+        """Another net of the patch on this piece."""
+        return net if self.matrices is None else nets.combined(net, *self.matrices)
 
     @staticmethod
-    def of(screen: Screen, rows: list[Net], w: Net, tiles: int) -> Piece:
+    def of(screen: Screen, matrices: Any, tiles: int) -> Piece:
         """Where W may lie below the floor, the floor stands for it, and all of the picture is reached."""
+        *rows, w = (net if matrices is None else nets.combined(net, *matrices) for net in (*screen.rows, screen.w))
         error = _ROUNDING * screen.eps
         w_blur = error * screen.w_size
         safe = nets.each(lambda c: c - w_blur, w)
+        room: list[Net] = []
+        if screen.turns is not None:
+            room = [net if matrices is None else nets.combined(net, *matrices) for net in screen.turns.spread]
+            safe = nets.each(lambda c, r: c - r, safe, room[3])
+            w_blur = w_blur + nets.top(room[3])
         deep = nets.bottom(safe) >= screen.floor
         inverse = nets.each(lambda c: 1.0 / jnp.where(deep, c, screen.floor), safe)
         widest = nets.top(inverse)
         # where an end is on the far side of 0, dividing by the largest W takes it furthest: W + blur, not W - blur
         least = 1.0 - 2.0 * w_blur * widest
         ends, within = [], []
-        for net, half, size in zip(rows, screen.half, screen.sizes, strict=True):
+        for k, (net, half, size) in enumerate(zip(rows, screen.half, screen.sizes, strict=True)):
             limit = jnp.broadcast_to(half, deep.shape)
             blur = error * size
-            low = jnp.where(deep, nets.bottom(nets.each(lambda c, i, e=blur: (c - e) * i, net, inverse)), -limit)
-            high = jnp.where(deep, nets.top(nets.each(lambda c, i, e=blur: (c + e) * i, net, inverse)), limit)
+            lower, upper = (nets.each(lambda c, e=e: c + e, net) for e in (-blur, blur))
+            if room:
+                lower, upper = nets.each(jnp.subtract, lower, room[k]), nets.each(jnp.add, upper, room[k])
+            low = jnp.where(deep, nets.bottom(nets.each(jnp.multiply, lower, inverse)), -limit)
+            high = jnp.where(deep, nets.top(nets.each(jnp.multiply, upper, inverse)), limit)
             low, high = smaller(low, low * least), larger(high, high * least)
             ends.append((_clip(low, limit), _clip(high, limit)))
             within.append(deep & (low >= -limit) & (high <= limit))
-        return Piece(rows, w, inverse, widest, ends, within, float(tiles**2))
+        return Piece(rows, w, inverse, widest, ends, within, float(tiles**2), matrices)
 
 
 class Remainder(NamedTuple):
@@ -254,7 +313,12 @@ def _square(
         row, ends, size = piece.rows[k], piece.ends[k], screen.sizes[k]
         remainder = _remainder(_third_differences(screen.rows[k]), w, ends, triangles.extent, maxima)
         hessian = _hessian(row, triangles.extent)
-        tops = [nets.top(_measured(triangles, s, hessian, depth, piece.inverse, maxima), maxima) for s in ends]
+        turns = screen.turns
+        errors = [None if turns is None else turns.errors(k, s, triangles, piece) for s in ends]
+        tops = [
+            nets.top(_measured(triangles, s, hessian, depth, piece.inverse, maxima, more), maxima)
+            for s, more in zip(ends, errors, strict=True)
+        ]
         second = maxima.largest(tops)
         if screen.rational:
             followed = _followed(screen, piece, row, size, triangles, maxima)
@@ -310,14 +374,30 @@ def _last_visible(screen: Screen, piece: Piece, bends: list[Lanes]) -> Lanes:
     error = _ROUNDING * screen.eps
     *row_bends, w_bend = bends
     planes = [(screen.floor - error * screen.w_size - nets.top(piece.w), w_bend)]
-    for net, half, size, bend in zip(piece.rows[:2], screen.half[:2], screen.sizes[:2], row_bends, strict=True):
-        planes += [(-reach - error * size, bend + half * w_bend) for reach in reaches(net, piece.w, half)]
+    if screen.turns is not None:
+        w_room, least = nets.top(piece.restricted(screen.turns.spread[3])), planes[0][0]
+        planes = [(least - w_room, w_bend)]
+    for k, (net, half, size, bend) in enumerate(
+        zip(piece.rows[:2], screen.half[:2], screen.sizes[:2], row_bends, strict=True)
+    ):
+        reached = _reaches(net, piece.w, half, screen.turns, k, piece.matrices)
+        planes += [(-reach - error * size, bend + half * w_bend) for reach in reached]
     last = jnp.full_like(screen.w_size, jnp.inf)
     for outside, bend in planes:
         away = outside > 0
         square = bend / (8.0 * jax.lax.select(away, outside, jnp.ones_like(outside)))
         last = smaller(last, jax.lax.select(away, square, jnp.full_like(square, jnp.inf)))
     return last
+
+
+def _reaches(net: Net, w: Net, half: Any, turns: Turns | None, k: int, matrices: Any = None) -> tuple[Lanes, Lanes]:
+    """``reaches``, and what twist terms may add."""
+    found = reaches(net, w, half)
+    if turns is None:
+        return found
+    spread = nets.each(lambda x, y: x + half * y, turns.spread[k], turns.spread[3])
+    more = nets.top(spread if matrices is None else nets.combined(spread, *matrices))
+    return found[0] + more, found[1] + more
 
 
 def _largest_sum(net: Net, extent: Extent, maxima: Maxima) -> Lanes:
@@ -332,8 +412,16 @@ def _largest_at(ends: tuple[Lanes, Lanes], own: Net, depth: Net, maxima: Maxima)
     return maxima.largest([nets.top(nets.each(lambda x, y, s=s: jnp.abs(x - s * y), own, depth), maxima) for s in ends])
 
 
-def _measured(triangles: Triangles, s: Lanes, own: Hessian, depth: Hessian, inverse: Net, maxima: Maxima) -> Net:
-    """What triangles are off by the Hessian of g_s over W, coefficient by coefficient."""
+def _measured(
+    triangles: Triangles,
+    s: Lanes,
+    own: Hessian,
+    depth: Hessian,
+    inverse: Net,
+    maxima: Maxima,
+    more: Net | None = None,
+) -> Net:
+    """What triangles are off by the Hessian of g_s over W, coefficient by coefficient, and by ``more``."""
     there = [x is not None for x in own]
 
     def minus(x: Lanes, y: Lanes) -> Lanes:
@@ -344,7 +432,8 @@ def _measured(triangles: Triangles, s: Lanes, own: Hessian, depth: Hessian, inve
         hessian: list[Any] = [None if not given else minus(*next(pairs)) for given in there]
         return triangles.bend(*hessian, maxima=maxima) * i
 
-    return nets.each(at, inverse, *(x for pair in zip(own, depth, strict=True) for x in pair if x is not None))
+    found = nets.each(at, inverse, *(x for pair in zip(own, depth, strict=True) for x in pair if x is not None))
+    return found if more is None else nets.each(lambda x, y, i: x + y * i, found, more, inverse)
 
 
 def _plain_hessian(net: Net, extent: Extent) -> list[Net]:

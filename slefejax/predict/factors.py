@@ -13,8 +13,10 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from slefejax.arguments import Number, Patches, check_positive
+from slefejax.arguments import Number, Patches, check_positive, on_host
 from slefejax.errors import InputError
+from slefejax.geometry.evaluate import as_control
+from slefejax.geometry.gregory import GregoryPatches, Twisted
 from slefejax.geometry.packed import Packed, pack
 from slefejax.geometry.projection import Projection
 from slefejax.geometry.view import View, check_view
@@ -74,7 +76,8 @@ class Factors:
             return self.known
         if self.packed is None:
             raise InputError(_TRACED)
-        return shared_edges(np.asarray(self.packed.patches()))
+        patches = on_host(self.packed.patches())
+        return shared_edges(patches.net if isinstance(patches, GregoryPatches) else patches)
 
     @cached_property
     def inner(self) -> Int[np.ndarray, "patches 2"]:
@@ -231,6 +234,9 @@ def predicted(
     method, tolerances = request
     if isinstance(method, Kernel):
         prepared = Prepared.of(patches)
+        if prepared.packed.gregory and not method.takes_gregory:
+            said = f"method {method.name!r} is for Bézier patches: Gregory patches take 'certified' or 'fixed'"
+            raise InputError(said, options=("method",))
         factor = method.factor(prepared, view, tolerances)
     else:
         prepared = patches if isinstance(patches, Prepared) else prepared_by(method, patches)
@@ -304,13 +310,16 @@ class _Certify:
         )
         return Certificate(self._given, tolerances, tiles, pattern, self.factor, pictures, self.memory)
 
-    def _given(self) -> tuple[np.ndarray, Projection]:
+    def _given(self) -> tuple[Any, Projection]:
         chunks, projection = self.packed.placed(self.view)
-        return projection.relative(layout.unpack_on_host(chunks, len(self.packed)), axis=-1), projection
+        control = jax.tree.map(lambda x: layout.unpack_on_host(x, len(self.packed)), chunks)
+        near = projection.relative(control, axis=-1)
+        return GregoryPatches(*near) if isinstance(near, Twisted) else near, projection
 
     def _on_screen(self, which: np.ndarray) -> Pictured:
         """In double precision, whatever the patches are in."""
-        return Pictured.of(np.asarray(self.packed.patches())[which], Projection.of(self.view), self.tolerances)
+        patches = on_host(self.packed.patches())[which]
+        return Pictured.of(as_control(patches), Projection.of(self.view), self.tolerances)
 
 
 def _scaled(certify: Callable[[], Certificate], scale: float) -> Certificate:
@@ -321,9 +330,10 @@ def _check_result(factor: np.ndarray, make_patches: Callable[[], Any]) -> None:
     bad = np.flatnonzero(~np.isfinite(factor))
     if bad.size == 0:
         return
-    patches = np.asarray(make_patches())
+    patches = on_host(make_patches())
+    numbers = np.concatenate([x[bad[0]].ravel() for x in jax.tree.leaves(patches)])
     where = f"patch {bad[0]}" + (f" and {bad.size - 1} more" if bad.size > 1 else "")
-    if not np.isfinite(patches[bad[0]]).all():
+    if not np.isfinite(numbers).all():
         raise InputError(f"{where} (counted from 0) has control points that are not finite numbers: repair or drop it")
     raise InputError(
         f"the factor of {where} (counted from 0) overflows {factor.dtype}: scale the scene, raise the tolerance or move"

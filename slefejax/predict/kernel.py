@@ -85,6 +85,7 @@ class Kernel:
 
     name: ClassVar[str]
     takes_depth: ClassVar[bool] = False
+    takes_gregory: ClassVar[bool] = False
 
     def check(self, dimension: int, tolerances: Tolerances) -> None:
         """InputError for numbers out of their range, for patches of that dimension and for such tolerances."""

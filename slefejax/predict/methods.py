@@ -68,6 +68,7 @@ class Certified(Kernel):
 
     name = "certified"
     takes_depth = True
+    takes_gregory = True
     tiles: int = 2
     anisotropic: bool = False
     verify: bool = False

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from slefejax.errors import InputError
 from slefejax.geometry.bezier import restrict
+from slefejax.geometry.gregory import GregoryPatches
 from slefejax.predict.certificate import Certificate
 from slefejax.tessellator.direct3d11 import ONE
 from slefejax.tessellator.levels import HIGHEST_LEVEL, MOST_LEVEL, OWN_AXIS, pieces_along, with_pieces
@@ -126,6 +127,12 @@ def _lengths_keep(
     for start in range(0, len(patch), _BLOCK):
         # one side after the other, so that all of a block are one call
         block = np.arange(start, min(start + _BLOCK, len(patch)))
+        axis = OWN_AXIS[side[block]]
+        if isinstance(certificate.patches, GregoryPatches):
+            across = np.maximum(np.take_along_axis(inner[patch[block]], 1 - axis[:, None], axis=1)[:, 0], 2)
+            given = certificate.patches[patch[block]], axis, length[block], certificate.pattern.cells(across)
+            holds[block] = certificate.triangles_keep(*given)
+            continue
         by_side = [block[side[block] == which] for which in range(4)]
         nets = []
         for which, own in enumerate(by_side):

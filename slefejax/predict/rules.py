@@ -20,6 +20,7 @@ from slefejax.arguments import Number, check_positive
 from slefejax.bounds.screen import rational_boxes
 from slefejax.bounds.slefe import enclose_patch
 from slefejax.errors import InputError
+from slefejax.geometry.gregory import Twisted
 from slefejax.geometry.projection import Projection
 from slefejax.lanes.maxima import at_least, larger, largest_along, root, smallest_along
 from slefejax.lanes.plain import plain
@@ -147,11 +148,13 @@ class Fixed(_WithSetting):
     """
 
     name = "fixed"
+    takes_gregory = True
     setting: Number = 16.0
 
     def kernel(self, control: Control, projection: Projection, tolerances: Tolerances) -> Array:
         """The same everywhere."""
-        return jnp.full(control.shape[-1], self.setting, control.dtype)
+        own = control.net if isinstance(control, Twisted) else control
+        return jnp.full(own.shape[-1], self.setting, own.dtype)
 
 
 def _projected(control: Control, projection: Projection) -> tuple[Any, Any]:

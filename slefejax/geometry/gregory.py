@@ -1,0 +1,139 @@
+"""Gregory patches [LSNC09]: Bézier patches whose points next to corners turn from one to another around the corner.
+
+A corner has two face points, f+ along the side that comes first counter-clockwise and f- along the other. With s and t
+from 0 at the corner along these sides the patch has there F = (s f+ + t f-)/(s + t), so
+
+    Q(u, v) = sum P_ij B_i(u) B_j(v) + sum_k D_k b_k(u, v) z_k(u, v),       z = (s - t)/(2 (s + t)),  -1/2 <= z <= 1/2,
+
+with the means of both at the places of Bézier points, D = f+ - f-, and b_k the polynomial that F is multiplied with.
+Second derivatives of b z are bounded, and jump at the corner. On the patch's sides b = 0: these are the net's curves.
+
+Of quads there are four such terms, b = 9 s t (1-s)^2 (1-t)^2; of triangles, pinched at u = 1 with the barycentric
+coordinates ((1-u)(1-v), (1-u) v, u), two, b = 12 a^2 b c: at the third corner the quotient is a polynomial.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from slefejax.errors import InputError
+from slefejax.geometry.bezier import Values
+
+QUAD_TWISTS = 4  # at (0, 0), (1, 0), (1, 1), (0, 1)
+TRIANGLE_TWISTS = 2  # at (0, 0), (0, 1)
+
+
+class Twisted(NamedTuple):
+    """A net and its twists, in whatever order kernels want their axes: a kernel's ``control`` of Gregory patches."""
+
+    net: Any
+    twists: Any
+
+
+@jax.tree_util.register_pytree_node_class
+class GregoryPatches:
+    """Gregory patches: taken wherever Bézier patches are, if nothing else is said.
+
+    net    : ``(patches, n, n, 3)``, Bézier points with the means of both face points; n is 4, or 5 with triangles
+    twists : ``(patches, slots, 3)``, f+ - f-: 4 slots, of the corners (0,0), (1,0), (1,1), (0,1) of quads; with
+             triangles 2 more, of their corners (0,0), (0,1). Zeros where a patch is a Bézier patch
+
+    >>> flat = np.zeros((1, 4, 4, 3))
+    >>> GregoryPatches(flat, np.zeros((1, 4, 3)))
+    GregoryPatches(1 of bi-degree 3)
+    """
+
+    def __init__(self, net: Any, twists: Any) -> None:
+        self.net, self.twists = net, twists
+        shapes = np.shape(net), np.shape(twists)
+        n = shapes[0][1] if len(shapes[0]) == 4 else 0
+        slots = {4: QUAD_TWISTS, 5: QUAD_TWISTS + TRIANGLE_TWISTS}.get(n)
+        if slots is None or shapes != ((len(net), n, n, 3), (len(net), slots, 3)) or not len(net):
+            raise InputError(
+                "Gregory patches are a net (patches, 4, 4, 3) and twists (patches, 4, 3), or with triangles"
+                f" (patches, 5, 5, 3) and (patches, 6, 3), not {shapes[0]} and {shapes[1]}"
+            )
+
+    def __repr__(self) -> str:
+        return f"GregoryPatches({len(self)} of bi-degree {self.net.shape[1] - 1})"
+
+    def __len__(self) -> int:
+        return len(self.net)
+
+    def __getitem__(self, which: Any) -> GregoryPatches:
+        """Some of them, none too."""
+        return self.tree_unflatten(None, (self.net[which], self.twists[which]))
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        raise InputError(_NO_BEZIER)
+
+    def __jax_array__(self) -> Any:
+        raise InputError(_NO_BEZIER)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of the net."""
+        return self.net.shape
+
+    @property
+    def dtype(self) -> Any:
+        """Of the net."""
+        return self.net.dtype
+
+    @property
+    def twisted(self) -> Any:
+        """``(patches,)``: which of them are no Bézier patches."""
+        return (self.twists != 0).any(axis=(1, 2))
+
+    def astype(self, dtype: Any) -> GregoryPatches:
+        """In another precision."""
+        return GregoryPatches(self.net.astype(dtype), self.twists.astype(dtype))
+
+    def on_host(self) -> GregoryPatches:
+        """As NumPy arrays."""
+        return GregoryPatches(np.asarray(self.net), np.asarray(self.twists))
+
+    def tree_flatten(self) -> tuple[Any, None]:
+        """For JAX."""
+        return (self.net, self.twists), None
+
+    @classmethod
+    def tree_unflatten(cls, _: None, children: Any) -> GregoryPatches:
+        """For JAX, which puts anything there."""
+        made = object.__new__(cls)
+        made.net, made.twists = children
+        return made
+
+
+_NO_BEZIER = (
+    "these are Gregory patches, no array of Bézier points: what is asked for takes Bézier patches (the scheme 'acc');"
+    " .net and .twists are the arrays"
+)
+
+
+def twist_basis(slots: int, u: Values, v: Values) -> list[Values]:
+    """What twists are multiplied with: b z of every slot at (u, v).
+
+    >>> [round(float(x), 4) for x in twist_basis(4, np.array(0.5), np.array(0.25))]
+    [0.0527, -0.0527, 0.0264, -0.0264]
+    """
+    found = [_of_quad(s, t) for s, t in ((u, v), (v, 1 - u), (1 - u, 1 - v), (1 - v, u))]
+    if slots == QUAD_TWISTS:
+        return found
+    a, b, c = (1 - u) * (1 - v), (1 - u) * v, u
+    return [*found, 12 * a * a * b * c * _turn(c, b), 12 * b * b * a * c * _turn(a, c)]
+
+
+def _of_quad(s: Values, t: Values) -> Values:
+    return 9 * s * t * ((1 - s) * (1 - t)) ** 2 * _turn(s, t)
+
+
+def _turn(s: Values, t: Values) -> Values:
+    """(s - t)/(2 (s + t)); where both are 0, whatever it is multiplied with is 0 too."""
+    xp: Any = np if isinstance(s, (np.ndarray, np.floating, float)) else jnp
+    both = s + t
+    return (s - t) / (2.0 * xp.where(both > 0, both, 1.0))
