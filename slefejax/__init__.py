@@ -66,6 +66,7 @@ __all__ = [
     "Conversion",
     "Factors",
     "Fit",
+    "GregoryPatches",
     "InputError",
     "Mesh",
     "NoOpenGLError",

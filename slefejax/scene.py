@@ -335,11 +335,11 @@ def _scene(
         notes += found
         work, mesh = conversion.patchwork, conversion.mesh
         rest = mesh.vertices if content.rig is None else content.rig.at_rest(mesh.vertices)
-        own = work.on_host(rest)
+        own: Any = work.on_host(rest)
         gregory = own if isinstance(own, GregoryPatches) else None
         if gregory is not None and (content.splines or content.patches):
             raise InputError(f"{path} has surfaces besides its control mesh: Gregory patches are alone, choose 'acc'")
-        parts.append(_Part([getattr(own, "net", own)], mesh.numbers[work.faces], work.kinds))
+        parts.append(_Part([own.net if gregory is not None else own], mesh.numbers[work.faces], work.kinds))
     parts += [_spline_part(spline, number) for number, spline in enumerate(content.splines)]
     if content.patches:
         count = len(content.patches)

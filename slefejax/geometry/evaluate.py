@@ -58,18 +58,18 @@ def evaluate_patches(patches: Patches, parameters: Numbers) -> Float[Array | np.
     >>> evaluate_patches(np.stack([arc, arc], axis=1)[None], [[0.0, 0.5], [0.5, 0.5]]).tolist()
     [[[1.0, 0.0, 0.0], [0.6, 0.8, 0.0]]]
     """
-    patches, parameters = check_patches(patches, gregory=True), floating(parameters)
-    check_weights(patches)
-    if parameters.shape[-1:] != (2,) or parameters.shape[:-2] not in ((), patches.shape[:1]) or parameters.ndim < 2:
+    given, parameters = check_patches(patches, gregory=True), floating(parameters)
+    check_weights(given)
+    if parameters.shape[-1:] != (2,) or parameters.shape[:-2] not in ((), given.shape[:1]) or parameters.ndim < 2:
         raise InputError(
-            f"parameters of {len(patches)} patches must have shape (places, 2) or ({len(patches)}, places, 2), not"
+            f"parameters of {len(given)} patches must have shape (places, 2) or ({len(given)}, places, 2), not"
             f" {tuple(parameters.shape)}"
         )
-    xp: Any = np if all(isinstance(x, np.ndarray) for x in (*jax.tree.leaves(patches), parameters)) else jnp
-    control = jax.tree.map(lambda x: xp.moveaxis(xp.asarray(x), 0, -1)[..., None], as_control(patches))
-    u, v = xp.moveaxis(xp.asarray(parameters, patches.dtype), -1, 0)
+    xp: Any = np if all(isinstance(x, np.ndarray) for x in (*jax.tree.leaves(given), parameters)) else jnp
+    control = jax.tree.map(lambda x: xp.moveaxis(xp.asarray(x), 0, -1)[..., None], as_control(given))
+    u, v = xp.moveaxis(xp.asarray(parameters, given.dtype), -1, 0)
     points = xp.moveaxis(evaluate(control, u, v), 0, -1)
-    return points[..., :3] / points[..., 3:] if patches.shape[3] == 4 else points
+    return points[..., :3] / points[..., 3:] if given.shape[3] == 4 else points
 
 
 def as_control(patches: Any) -> Any:

@@ -139,9 +139,9 @@ def pack(patches: Patches) -> Packed:
     """
     if isinstance(patches, Packed):
         return patches
-    patches = check_patches(patches, gregory=True)
-    check_weights(patches)
-    return Packed(patches, None, len(patches), patches.dtype != jax.dtypes.canonicalize_dtype(patches.dtype))
+    given = check_patches(patches, gregory=True)
+    check_weights(given)
+    return Packed(given, None, len(given), given.dtype != jax.dtypes.canonicalize_dtype(given.dtype))
 
 
 def packed_numbers(net: Int[np.ndarray, "patches *rest"]) -> Int[np.ndarray, "chunks *rest lanes"]:
