@@ -17,19 +17,23 @@ _STAGES = {
 }
 
 
-def draw_program(context: Any, shape: tuple[int, int, int], spacing: str, owned: bool) -> Any:
-    """Draws patches of shape (du+1, dv+1, dim) into the G-buffer; owned: sides are their owners' (sides.glsl)."""
+Shape = tuple[int, int, int, int]  # du+1, dv+1, dim, and twists of a patch
+
+
+def draw_program(context: Any, shape: Shape, spacing: str, owned: bool) -> Any:
+    """Draws patches of that shape into the G-buffer; owned: sides are their owners' (sides.glsl)."""
     stages = {**_STAGES, "geometry_shader": "gbuffer.geom", "fragment_shader": "gbuffer.frag"}
     return _program(context, shape, spacing, owned, stages)
 
 
-def capture_program(context: Any, shape: tuple[int, int, int], spacing: str, owned: bool) -> Any:
+def capture_program(context: Any, shape: Shape, spacing: str, owned: bool) -> Any:
     """Writes the triangles that the tessellator makes to a storage buffer and draws nothing."""
     return _program(context, shape, spacing, owned, {**_STAGES, "geometry_shader": "capture.geom"})
 
 
-def _program(context: Any, shape: tuple[int, int, int], spacing: str, owned: bool, stages: dict[str, str]) -> Any:
+def _program(context: Any, shape: Shape, spacing: str, owned: bool, stages: dict[str, str]) -> Any:
     defines: dict[str, Any] = {"DEGREE_U": shape[0] - 1, "DEGREE_V": shape[1] - 1, "COORDINATES": shape[2]}
+    defines["TWISTS"] = shape[3]
     defines |= {"SPACING": spacing.replace("-", "_") + "_spacing", "OWNED_SIDES": int(owned)}
     sources = {stage: _source(name, defines) for stage, name in stages.items()}
     try:
@@ -40,7 +44,9 @@ def _program(context: Any, shape: tuple[int, int, int], spacing: str, owned: boo
 
 def _source(name: str, defines: dict[str, Any]) -> str:
     """A shader's text, with its includes in place and the definitions behind its #version line."""
-    text = re.sub(r'^#include "(.+)"$', lambda match: _read(match.group(1)), _read(name), flags=re.MULTILINE)
+    text = _read(name)
+    while '#include "' in text:
+        text = re.sub(r'^#include "(.+)"$', lambda match: _read(match.group(1)), text, flags=re.MULTILINE)
     version, rest = text.split("\n", 1)
     lines = [f"#define {key} {value}" for key, value in defines.items()]
     return "\n".join([version, *lines, rest])

@@ -9,11 +9,12 @@ import moderngl
 import numpy as np
 from jaxtyping import Float, Int, Real
 
-from slefejax.arguments import Patches, check_patches, real_numbers, whole_numbers
+from slefejax.arguments import Patches, check_patches, on_host, real_numbers, whole_numbers
 from slefejax.errors import InputError, OpenGLError
+from slefejax.geometry.gregory import GregoryPatches
 from slefejax.geometry.view import LARGEST, View
 from slefejax.gpu.context import Device, open_device
-from slefejax.gpu.programs import capture_program, draw_program
+from slefejax.gpu.programs import Shape, capture_program, draw_program
 from slefejax.gpu.strays import Strays, drawn_at, nearest_drawn
 from slefejax.gpu.unseen import without_unseen
 from slefejax.tessellator.edges import Sides
@@ -78,8 +79,8 @@ class Renderer:
     nothing: parameters are the patch's, and neighbours meet without a crack. Pieces that are off the screen are left
     out.
 
-    patches : ``(patches, du+1, dv+1, 3)`` or, rational, 4 at the end; sent as float32, relative to the box around
-              them, so that a scene far from the origin, or of any size, loses nothing
+    patches : ``(patches, du+1, dv+1, 3)`` or, rational, 4 at the end, or ``GregoryPatches``; sent as float32, relative
+              to the box around them, so that a scene far from the origin, or of any size, loses nothing
     device  : from ``open_device``, which is called if it is not given
     spacing : ``"equal"``: levels are whole numbers; ``"fractional-even"``, ``"fractional-odd"``: any numbers up to the
               limit, and vertices move as they change, instead of coming and going
@@ -99,9 +100,9 @@ class Renderer:
         self.device.collect()
         self._sent, self._to_world = _checked(patches)
         control, self._count = self._sent, len(self._sent)
-        self._shape = (control.shape[1], control.shape[2], control.shape[3])
+        self._shape = _shape_of(control)
         context = self.device.context
-        self._control = context.buffer(control.tobytes())
+        self._control = context.buffer(_control_records(control))
         # where all sides have equally many points, those that are one curve have equal ones: each patch's own will do
         self._finds_sides = sides is None and control.shape[1] != control.shape[2]
         self._owners: Any = None
@@ -127,11 +128,12 @@ class Renderer:
         """Other control points for the same patches. Raises InputError if there are more or fewer of them."""
         self.device.check_thread()
         control, to_world = _checked(patches)
-        if control.shape != (self._count, *self._shape):
+        if (len(control), *_shape_of(control)) != (self._count, *self._shape):
             raise InputError(
-                f"patches that move keep their number and degree: {(self._count, *self._shape)}, not {control.shape}"
+                f"patches that move keep their number, degree and kind: {self._sent.shape} and"
+                f" {self._shape[3]} twists, not {control.shape} and {_shape_of(control)[3]}"
             )
-        self._control.write(control.tobytes())
+        self._control.write(_control_records(control))
         self._drawn = None
         self._sent, self._to_world = control, to_world
         if self._finds_sides:
@@ -326,17 +328,35 @@ class Renderer:
         return inner, outer
 
 
-def _checked(patches: Patches) -> tuple[np.ndarray, np.ndarray]:
+def _checked(patches: Patches) -> tuple[Any, np.ndarray]:
     """Control points as they are sent, and the matrix that takes them back to the world."""
-    patches = np.asarray(check_patches(patches), np.float64)
-    bad = np.flatnonzero(~np.isfinite(patches).all(axis=(1, 2, 3)))
+    given = on_host(check_patches(patches, gregory=True))
+    control = given.net if isinstance(given, GregoryPatches) else given
+    everything = [control] if control is given else [control, given.twists]
+    bad = np.flatnonzero(~np.all([np.isfinite(x).reshape(len(x), -1).all(axis=1) for x in everything], axis=0))
     if bad.size:
         raise InputError(f"patch {bad[0]} (counted from 0) has control points that are not finite numbers")
-    if not np.max(np.abs(patches)) < LARGEST:
+    if not max(np.max(np.abs(x)) for x in everything) < LARGEST:
         raise InputError(f"control points must be below {LARGEST:g} to be drawn: scale the scene down")
-    if len(patches) >= _HIGHEST_PATCH_NUMBER:
-        raise InputError(f"the G-buffer can number {_HIGHEST_PATCH_NUMBER - 1} patches, not {len(patches)}")
-    return _in_unit_box(patches)
+    if len(control) >= _HIGHEST_PATCH_NUMBER:
+        raise InputError(f"the G-buffer can number {_HIGHEST_PATCH_NUMBER - 1} patches, not {len(control)}")
+    sent, to_world = _in_unit_box(np.asarray(control, np.float64))
+    if control is given:
+        return sent, to_world
+    return GregoryPatches(sent, (given.twists / to_world[0, 0]).astype(np.float32)), to_world
+
+
+def _shape_of(sent: Any) -> Shape:
+    twists = sent.twists.shape[1] if isinstance(sent, GregoryPatches) else 0
+    nu, nv, dim = sent.shape[1:]
+    return nu, nv, dim, twists
+
+
+def _control_records(sent: Any) -> bytes:
+    """Control points as bezier.glsl reads them: a patch's net, then its twists."""
+    if not isinstance(sent, GregoryPatches):
+        return sent.tobytes()
+    return np.concatenate([x.reshape(len(x), -1) for x in (sent.net, sent.twists)], axis=1).tobytes()
 
 
 def _in_unit_box(patches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

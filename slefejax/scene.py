@@ -337,9 +337,10 @@ def _scene(
         rest = mesh.vertices if content.rig is None else content.rig.at_rest(mesh.vertices)
         own: Any = work.on_host(rest)
         gregory = own if isinstance(own, GregoryPatches) else None
+        block: Any = own if gregory is None else gregory.net
         if gregory is not None and (content.splines or content.patches):
             raise InputError(f"{path} has surfaces besides its control mesh: Gregory patches are alone, choose 'acc'")
-        parts.append(_Part([own.net if gregory is not None else own], mesh.numbers[work.faces], work.kinds))
+        parts.append(_Part([block], mesh.numbers[work.faces], work.kinds))
     parts += [_spline_part(spline, number) for number, spline in enumerate(content.splines)]
     if content.patches:
         count = len(content.patches)

@@ -20,6 +20,7 @@ MESHES = [
     *("kenney_character_frame4", "kenney_character_frame9"),
     *("bigguy", "monsterfrog", "spot_control_mesh", "suzanne", "makehuman/base"),
 ]
+GREGORY = ("suzanne", "catmark_gregory_test8", "catmark_pole64")  # pinched, n-gons, valence 64
 SPLINES = ("usd_bendy_nurbs.usda", "rational_torus.bv", "teapot.bpt")
 FLOOR = 1e-3  # pixels: what float32 on the device puts under the error of what is drawn
 
@@ -64,12 +65,19 @@ def check_view(scene, view, renderer):
     assert sampled_error(scene.patches(), factors.levels, view).max() <= 0.5
 
 
-@pytest.mark.parametrize("name", MESHES)
-def test_meshes_draw_without_a_crack(models, device, name, rng):
+@pytest.mark.parametrize(
+    ("name", "scheme"),
+    [
+        *((name, "auto") for name in MESHES),
+        *((name, "gregory") for name in GREGORY),
+        *(pytest.param(name, "gregory", marks=pytest.mark.slow) for name in MESHES if name not in GREGORY),
+    ],
+)
+def test_meshes_draw_without_a_crack(models, device, name, scheme, rng):
     """Neighbours cut differently, edges at the larger level: the tessellator's triangles fit together bit for bit."""
     from slefejax.gpu import Renderer
 
-    scene = load(models / f"{name}.obj")
+    scene = load(models / f"{name}.obj", scheme=scheme)
     numbers = rng.integers(1, 10 if len(scene.patches()) < 5000 else 4, len(scene.patches()))
     renderer = Renderer(scene.patches(), device)
     view = View(scene.default_camera(), 480, 300)
@@ -104,12 +112,19 @@ def test_cracks_would_be_found(models, device):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*(f"{name}.obj" for name in MESHES), *SPLINES])
-def test_the_certified_factor_holds_on_every_model(models, device, name):
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        *((f"{name}.obj", {}) for name in MESHES),
+        *((name, {}) for name in SPLINES),
+        *((f"{name}.obj", {"scheme": "gregory"}) for name in MESHES),
+    ],
+)
+def test_the_certified_factor_holds_on_every_model(models, device, name, options):
     """Twenty cameras: pixels, captured triangles, uniform grids over the visible domain, and cracks."""
     from slefejax.gpu import Renderer
 
-    scene = load(models / name)
+    scene = load(models / name, **options)
     renderer = Renderer(scene.patches(), device)
     for view in cameras_around(scene, 1440, 900, 20 if len(scene.patches()) < 5000 else 2, 3):
         check_view(scene, view, renderer)

@@ -1,21 +1,29 @@
-// A Bezier patch at (u, v), so evaluated that neighbours agree bit for bit along a shared edge, whichever way
-// each of them runs along it:
+// A patch at (u, v), so evaluated that neighbours agree bit for bit along a shared edge, whichever way each of them
+// runs along it:
 // - u and 1 - u enter in the same way, and coefficients i and d - i are added as a pair, so that reversing an
 //   edge exchanges operands of commutative operations and nothing else;
 // - at u = 0 or 1 (v likewise) all weights but one are exactly 0, so only the edge's own points count;
-// - 'precise' keeps the compiler from fusing or reordering.
+// - 'precise' keeps the compiler from fusing or reordering;
+// - the twist terms of Gregory patches (gregory.glsl) are left out there, where they are 0.
 layout(std430, binding = 0) readonly buffer Control {
     float control[];
 };
 
+#define NET_FLOATS ((DEGREE_U + 1) * (DEGREE_V + 1) * COORDINATES)
+#define PATCH_FLOATS (NET_FLOATS + 3 * TWISTS)
+
 vec4 control_point(int number, int i, int j) {
-    int at = ((number * (DEGREE_U + 1) + i) * (DEGREE_V + 1) + j) * COORDINATES;
+    int at = number * PATCH_FLOATS + (i * (DEGREE_V + 1) + j) * COORDINATES;
 #if COORDINATES == 4
     return vec4(control[at], control[at + 1], control[at + 2], control[at + 3]);
 #else
     return vec4(control[at], control[at + 1], control[at + 2], 1.0);
 #endif
 }
+
+#if TWISTS
+#include "gregory.glsl"
+#endif
 
 float power(float x, int n) {
     precise float result = 1.0;
@@ -66,6 +74,10 @@ vec4 patch_point(int number, float u, float v) {
     }
 #if COORDINATES == 3
     sum.w = 1.0;
+#endif
+#if TWISTS
+    if (u > 0.0 && u < 1.0 && v > 0.0 && v < 1.0)
+        sum.xyz += twist_terms(number, u, v);
 #endif
     return sum;
 }

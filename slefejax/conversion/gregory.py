@@ -167,8 +167,17 @@ class Points:
         r = (self.middles.take(beside) - self.middles.take(across)).scaled(1.0 / 3.0)
         r = r + (self.centroids.take(mesh.face) - self.centroids.take(other)).scaled(2.0 / 3.0)
         at_a = self.vertices.take(mesh.corners[corner]).scaled(c_b)
-        ends = self.edges.take(near).scaled(d - 2.0 * c_a - c_b) + self.edges.take(far).scaled(2.0 * c_a)
+        ends = self.edges.take(near).scaled(slide(d, c_a, c_b)) + self.edges.take(far).scaled(2.0 * c_a)
         return (at_a + ends + r).scaled(1.0 / d)
+
+
+def slide(d: Any, c_a: Any, c_b: Any) -> Any:
+    """The weight of e_a in d f.
+
+    >>> slide(3.0, 0.0, 0.0)
+    3.0
+    """
+    return d - 2.0 * c_a - c_b
 
 
 def eigenvalue(n: Any) -> Any:

@@ -73,7 +73,7 @@ def _quartic(mesh: Mesh, pool: StencilTable) -> _Nets:
     sides = _combined(elevate(np.eye(4), 4)[1:-1], cubic, pool)
     quads, triangles = np.flatnonzero(mesh.sizes == 4), np.flatnonzero(mesh.sizes == 3)
     quad_corners = mesh.offsets[:-1][quads][:, None] + np.arange(4)
-    turned = np.stack(pinched_last(mesh, triangles), axis=1)
+    turned = pinched_last(mesh, triangles).T
     inside = _combined(_of_quad(), _numbers(mesh, quad_corners), pool).stacked(
         _combined(_of_triangle()[1:-1, 1:-1].reshape(_INSIDE, -1), _numbers(mesh, turned), pool)
     )

@@ -188,10 +188,10 @@ def convert(mesh: Mesh, scheme: Scheme | str = "auto", alpha: Any = ALPHA, steps
 
     scheme : ``"acc"`` for meshes of quads; ``"pinched"`` for quads and triangles; ``"bspline"``, only for regular
              meshes, where it is exact; ``"catmull-clark+acc"`` for any, by steps of subdivision first, each of which
-             makes four times as many patches; ``"gregory"`` and ``"catmull-clark+gregory"``: Gregory patches, which join
-             smoothly (``slefejax.conversion.gregory``); ``"auto"``: pinched quads where there are triangles (none of them
-             quadruples all patches), subdivision only where there are faces of more than four vertices. Or a value:
-             ``slefejax.conversion.scheme.Acc()`` …, one's own (``Scheme``), or ``"my_module:MyScheme"``
+             makes four times as many patches; ``"gregory"`` and ``"catmull-clark+gregory"``: Gregory patches, which
+             join smoothly (``slefejax.conversion.gregory``); ``"auto"``: pinched quads where there are triangles (none
+             of them quadruples all patches), subdivision only where there are faces of more than four vertices. Or a
+             value: ``slefejax.conversion.scheme.Acc()`` …, one's own (``Scheme``), or ``"my_module:MyScheme"``
     alpha  : of triangles: the weight of a neighbour, positive; [Yeo12] takes 2.5
     steps  : of ``"catmull-clark+acc"`` and ``"catmull-clark+gregory"``: how many; 1 if not given
 

@@ -128,6 +128,43 @@ def twist_basis(slots: int, u: Values, v: Values) -> list[Values]:
     return [*found, 12 * a * a * b * c * _turn(c, b), 12 * b * b * a * c * _turn(a, c)]
 
 
+def twist_slopes(slots: int, u: Any, v: Any) -> tuple[list[Any], list[Any]]:
+    """Derivatives of ``twist_basis`` by u, and by v; at the corner itself 0, as they are wherever one goes there.
+
+    >>> by_u, by_v = twist_slopes(4, np.array(0.0), np.array(0.5))
+    >>> [round(float(x), 4) for x in by_u], [round(float(x), 4) for x in by_v]
+    ([-0.5625, 0.0, 0.0, 0.5625], [0.0, 0.0, 0.0, 0.0])
+    """
+    by_u, by_v = [], []
+    # (s, t) of a slot, and how both change along u and along v
+    turned = ((u, v, 1, 0, 0, 1), (v, 1 - u, 0, -1, 1, 0), (1 - u, 1 - v, -1, 0, 0, -1), (1 - v, u, 0, 1, -1, 0))
+    for s, t, s_u, t_u, s_v, t_v in turned:
+        a, b = 1 - s, 1 - t
+        by_s, by_t = _slopes(9 * (a * b) ** 2, s, t, -18 * a * b**2, -18 * b * a**2)
+        by_u.append(by_s * s_u + by_t * t_u)
+        by_v.append(by_s * s_v + by_t * t_v)
+    for k in range(slots - QUAD_TWISTS):
+        # t = (1 - u) w with w = v, or 1 - v and the opposite sign
+        w, sign = (v, 1.0) if k == 0 else (1 - v, -1.0)
+        p, p_u, p_w = 12 * ((1 - u) * (1 - w)) ** 2, -24 * (1 - u) * (1 - w) ** 2, -24 * (1 - w) * (1 - u) ** 2
+        value, by_s, by_t = _turning(u, (1 - u) * w)
+        by_u.append(sign * (p_u * value + p * (by_s - w * by_t)))
+        by_v.append(p_w * value + p * (1 - u) * by_t)
+    return by_u, by_v
+
+
+def _slopes(p: Any, s: Any, t: Any, p_s: Any, p_t: Any) -> tuple[Any, Any]:
+    value, by_s, by_t = _turning(s, t)
+    return p_s * value + p * by_s, p_t * value + p * by_t
+
+
+def _turning(s: Any, t: Any) -> tuple[Any, Any, Any]:
+    """s t (s - t)/(2 (s + t)), and its derivatives by s and t."""
+    both = np.where(s + t > 0, s + t, 1.0)
+    y = t / both
+    return s * t * (s - t) / (2.0 * both), 0.5 * t - t * y * y, 0.5 * s - s * y * (2.0 - y)
+
+
 def _of_quad(s: Values, t: Values) -> Values:
     return 9 * s * t * ((1 - s) * (1 - t)) ** 2 * _turn(s, t)
 

@@ -7,12 +7,15 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from slefejax.arguments import Patches, check_patches, real_numbers, whole_numbers
+from slefejax.arguments import Patches, check_patches, on_host, real_numbers, whole_numbers
 from slefejax.errors import InputError
 from slefejax.geometry.bezier import bernstein, derivative
+from slefejax.geometry.evaluate import as_control
+from slefejax.geometry.gregory import GregoryPatches, Twisted, twist_basis, twist_slopes
 from slefejax.geometry.view import homogeneous
 from slefejax.tessellator.direct3d11 import tessellate
 from slefejax.tessellator.edges import Sides, edge_points
@@ -44,7 +47,7 @@ class Triangulation:
     patch: Int[np.ndarray, "vertices"]
     parameters: Float[np.ndarray, "vertices 2"]
     faces: Int[np.ndarray, "triangles 3"]
-    _patches: np.ndarray = field(repr=False)
+    _patches: Any = field(repr=False)
     _sides: Sides | None = field(default=None, repr=False)
 
     @cached_property
@@ -53,7 +56,7 @@ class Triangulation:
         found = self._through(_positions, self.parameters)
         if self._sides is not None:
             for along_u in (False, True):
-                at, points = _on_sides(self._patches, self._sides, self.patch, self.parameters, along_u)
+                at, points = _on_sides(_nets(self._patches), self._sides, self.patch, self.parameters, along_u)
                 found[at] = points
         return found
 
@@ -74,7 +77,8 @@ class Triangulation:
         found = np.empty((len(which), 3))
         for start in range(0, len(which), _BLOCK):
             own = which[start : start + _BLOCK]
-            control = np.moveaxis(self._patches[self.patch[own]], 0, -1)
+            control = as_control(self._patches[self.patch[own]])
+            control = jax.tree.map(lambda x: np.moveaxis(x, 0, -1), control)
             found[start : start + _BLOCK] = function(control, *parameters[own].T).T
         return found
 
@@ -98,19 +102,19 @@ def triangulate(patches: Patches, factors: Any, spacing: str = "equal", sides: S
     >>> made.faces.shape, made.positions[made.faces[0]].tolist()
     ((8, 3), [[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [0.5, 0.5, 0.0]])
     """
-    patches = np.asarray(check_patches(patches))
-    inner, outer = _checked_levels(factors, len(patches), spacing)
-    if sides is None and patches.shape[1] != patches.shape[2]:
-        sides = Sides.of(patches)
-    patches = patches.astype(np.float64, copy=False)
+    given = on_host(check_patches(patches, gregory=True))
+    inner, outer = _checked_levels(factors, len(given), spacing)
+    if sides is None and given.shape[1] != given.shape[2]:
+        sides = Sides.of(given)
+    given = given.astype(np.float64)
     parts = Pieces.of(inner, outer, spacing)
     made = tessellate(parts.inner, parts.outer, spacing)
     if np.all(parts.along == 1):
-        return Triangulation(made.patch, made.parameters(), made.triangles, patches, sides)
+        return Triangulation(made.patch, made.parameters(), made.triangles, given, sides)
     place, along = parts.place[made.patch], parts.along[made.patch]
     steps = shares(place * made.segments + made.point, along * made.segments)
     patch, steps, number = _without_twins(parts.patch[made.patch], steps)
-    return Triangulation(patch, steps * GRID, number[made.triangles], patches, sides)
+    return Triangulation(patch, steps * GRID, number[made.triangles], given, sides)
 
 
 def _without_twins(
@@ -163,14 +167,22 @@ def _symmetric_sum(coefficients: Any, basis: list[Any]) -> Any:
     return total
 
 
-def _at(control: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+def _at(control: Any, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Homogeneous points; on a side its own control points alone count, and neither direction nor axis does."""
+    if isinstance(control, Twisted):
+        terms = twist_basis(len(control.twists), u, v)  # 0 on sides
+        return _at(control.net, u, v) + _symmetric_sum(control.twists, terms)
     across = bernstein(control.shape[1] - 1, v)
     rows = [_symmetric_sum(row, across) for row in control]
     return _symmetric_sum(rows, bernstein(control.shape[0] - 1, u))
 
 
-def _positions(control: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+def _nets(patches: Any) -> np.ndarray:
+    """Of Gregory patches: their sides are the nets'."""
+    return patches.net if isinstance(patches, GregoryPatches) else patches
+
+
+def _positions(control: Any, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     point = _at(control, u, v)
     return point[:3] / point[3:] if len(point) == 4 else point
 
@@ -194,13 +206,17 @@ def _on_sides(
     return at, (points[:3] / points[3:] if len(points) == 4 else points).T
 
 
-def _normals(control: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+def _normals(control: Any, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """p_u x p_v at length 1; 0 where that has no direction."""
+    control, twists = control if isinstance(control, Twisted) else (control, None)
     control = np.moveaxis(homogeneous(np.moveaxis(control, 2, -1)), -1, 2)
     point = _at(control, u, v)
     nets = derivative(control), np.swapaxes(derivative(np.swapaxes(control, 0, 1)), 0, 1)
     # times w, whatever its size
     along_u, along_v = ((t := _at(net, u, v))[:3] * point[3] - point[:3] * t[3] for net in nets)
+    if twists is not None:
+        slopes = twist_slopes(len(twists), u, v)
+        along_u, along_v = (own + _symmetric_sum(twists, s) for own, s in zip((along_u, along_v), slopes, strict=True))
     cross = np.cross(along_u, along_v, axis=0)
     length = np.linalg.norm(cross, axis=0)
     size = np.prod([np.abs(net).max(axis=(0, 1, 2)) for net in nets], axis=0) * point[3] ** 2
