@@ -10,9 +10,21 @@ import numpy as np
 import pytest
 
 import slefejax.conversion.gregory as points_module
-from slefejax import Camera, GregoryPatches, InputError, Session, View, convert, evaluate_patches, load
+from slefejax import (
+    Camera,
+    GregoryPatches,
+    InputError,
+    Session,
+    View,
+    convert,
+    evaluate_patches,
+    load,
+    save,
+    slefe_boxes,
+    tessellation_factors,
+)
 from slefejax.conversion.acc import Neighbourhood, acc_patches
-from slefejax.conversion.catmull_clark import refine
+from slefejax.conversion.catmull_clark import CORNER, refine
 from slefejax.conversion.gregory import Points, eigenvalue
 from slefejax.conversion.gregory_nets import gregory_patches
 from slefejax.geometry.evaluate import evaluate
@@ -133,10 +145,10 @@ def test_a_misprint_would_be_found(rng, monkeypatch):
 @pytest.mark.parametrize("name", ["monsterfrog", "suzanne", "bigguy", "catmark_gregory_test8", "catmark_pole64"])
 def test_normals_agree_on_real_meshes(models, name):
     """Along inner edges without creases that end at no corner."""
-    mesh = load(models / f"{name}.obj", scheme="gregory").conversion.finer
+    conversion = load(models / f"{name}.obj", scheme="gregory").conversion
+    assert conversion is not None
+    mesh = conversion.finer
     around = Neighbourhood.of(mesh)
-    from slefejax.conversion.catmull_clark import CORNER
-
     assert not np.any(around.sharp & ~mesh.boundary)
     found = np.sort(jumps(mesh, gregory_patches(mesh)))
     corners = np.count_nonzero(np.any(around.rule[mesh.edge_vertices] == CORNER, axis=1) & ~mesh.boundary)
@@ -255,8 +267,6 @@ def test_a_session_and_gradients(rng):
     posed = walker.pose(3.0)
     np.testing.assert_allclose(session.patches.net, posed.net, atol=1e-12)
     np.testing.assert_allclose(session.patches.twists, posed.twists, atol=1e-12)
-    from slefejax import tessellation_factors
-
     np.testing.assert_allclose(factors.factor, tessellation_factors(posed, view, tiles=1).factor, rtol=1e-9)
     mesh = closed(5, "quads", rng)
     table = gregory_patches(mesh)
@@ -273,8 +283,6 @@ def test_a_session_and_gradients(rng):
 
 
 def test_what_gregory_patches_are_not_for(tmp_path):
-    from slefejax import save, slefe_boxes, tessellation_factors
-
     scene = load("walker", scheme="gregory")
     view = View(scene.default_camera(), 320, 200)
     with pytest.raises(InputError, match="method 'slefe' is for Bézier patches"):

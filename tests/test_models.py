@@ -115,9 +115,9 @@ def test_cracks_would_be_found(models, device):
 @pytest.mark.parametrize(
     ("name", "options"),
     [
-        *((f"{name}.obj", {}) for name in MESHES),
-        *((name, {}) for name in SPLINES),
-        *((f"{name}.obj", {"scheme": "gregory"}) for name in MESHES),
+        *(pytest.param(f"{name}.obj", {}, id=name) for name in MESHES),
+        *(pytest.param(name, {}, id=name) for name in SPLINES),
+        *(pytest.param(f"{name}.obj", {"scheme": "gregory"}, id=f"{name}-gregory") for name in MESHES),
     ],
 )
 def test_the_certified_factor_holds_on_every_model(models, device, name, options):

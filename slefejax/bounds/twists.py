@@ -42,8 +42,8 @@ _OF_TRIANGLE = (
 )
 # (sup |uu| + 2 sup |uv| + sup |vv|)/8 of b z: 45/8 and 60/8
 _OF_ANY = (5.65, 7.55)
-# Of quadratic interpolation on a triangle in the unit square: for a third derivative of size 1, for a second one, and of
-# w itself in a box at the corner, over the box' sides; on the quarters of both halves of a cell, and on any triangle
+# Of quadratic interpolation on a triangle in the unit square: for a third derivative of size 1, for a second one, and
+# of w itself in a box at the corner, over the box' sides; on the quarters of both halves of a cell, on any triangle
 _VARYING = 0.0208
 _BENT = 0.1053
 _AT_CORNER = {True: 0.0211, False: 0.0535}

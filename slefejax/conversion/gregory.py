@@ -1,4 +1,4 @@
-"""Gregory patches that approximate Catmull-Clark: one a quad or triangle, smooth across edges [LSNC09] (docs/conversion.md).
+"""The points of Gregory patches, approximate Catmull-Clark that is smooth across edges [LSNC09] (docs/conversion.md).
 
 With n edges, faces of any size, midpoints m_i of the edges and centroids c_i of the faces (c_i between edges i and
 i+1) around a vertex v, t = 2 pi/n, s = (4 + cos^2(pi/n))^(-1/2) and L the subdominant eigenvalue of subdivision:
