@@ -158,6 +158,7 @@ def _net(mesh: Mesh) -> Int[np.ndarray, "faces 4 4"]:
 
 
 def quad_net(vertex: Any, out: Any, back: Any, inside: Any, c: Any) -> Any:
+    """Numbers ``(quads, 4, 4)`` of the points of quads with corners c ``(4, quads)``, from the numbers at corners."""
     a, b, d, e = c  # the corners, counter-clockwise
     rows = [
         [vertex[a], back[e], out[e], vertex[e]],

@@ -52,70 +52,87 @@ class Points:
         return (mesh.twin >= 0) & ~self.around.sharp[mesh.edge]
 
     @cached_property
-    def middles(self) -> StencilTable:
-        """Of the edges."""
+    def _quads(self) -> Bool[np.ndarray, "vertices"]:
+        """Whether all faces around a vertex are quads: then ``acc`` has its corner point."""
+        mesh = self.around.mesh
+        return np.bincount(mesh.corners, mesh.sizes[mesh.face] != 4, minlength=mesh.vertex_count) == 0
+
+    @cached_property
+    def _regular(self) -> Bool[np.ndarray, "vertices"]:
+        """Smooth inner vertices of four quads: around these, points are those of ``acc``."""
+        faces = np.bincount(self.around.mesh.corners, minlength=self.around.mesh.vertex_count)
+        inner = self.around.mesh.valence == faces
+        return self._quads & inner & (faces == 4) & (self.around.rule == SMOOTH)
+
+    @cached_property
+    def _pool(self) -> StencilTable:
+        """Vertices, middles of edges, centroids of faces."""
         mesh = self.around.mesh
         rows = np.repeat(np.arange(mesh.edge_count), 2)
         shape = (mesh.edge_count, mesh.vertex_count)
-        return StencilTable.of(rows, mesh.edge_vertices.ravel(), np.full(len(rows), 0.5), shape)
+        middles = StencilTable.of(rows, mesh.edge_vertices.ravel(), np.full(len(rows), 0.5), shape)
+        return StencilTable.identity(mesh.vertex_count).stacked(middles, face_points(mesh))
 
     @cached_property
-    def centroids(self) -> StencilTable:
-        """Of the faces."""
-        return face_points(self.around.mesh)
+    def _first(self) -> tuple[int, int]:
+        """Where middles and centroids begin there."""
+        return self.around.mesh.vertex_count, self.around.mesh.vertex_count + self.around.mesh.edge_count
 
     @cached_property
     def vertices(self) -> StencilTable:
         """p, on boundaries and creases a B-spline's."""
-        mesh, rule = self.around.mesh, self.around.rule
-        count = mesh.vertex_count
-        n = np.maximum(np.bincount(mesh.corners, minlength=count), 1).astype(float)
-        gather = lambda columns, width: StencilTable.of(  # noqa: E731
-            mesh.corners, columns, np.ones(len(columns)), (count, width)
+        mesh = self.around.mesh
+        found = corner_points(self.around, self._masks)
+        odd = np.flatnonzero(~self._quads & (self.around.rule == SMOOTH))
+        place = np.full(mesh.vertex_count, -1)
+        place[odd] = np.arange(len(odd))
+        corner = np.flatnonzero(place[mesh.corners] >= 0)
+        row = place[mesh.corners[corner]]
+        n = np.bincount(row, minlength=len(odd)).astype(float)
+        around = np.tile((4.0 / (n * (n + 5.0)))[row], 2)
+        column = np.concatenate(
+            [odd, *(f + x[corner] for f, x in zip(self._first, (mesh.edge, mesh.face), strict=True))]
         )
-        sums = gather(mesh.edge, mesh.edge_count) @ self.middles + gather(mesh.face, mesh.face_count) @ self.centroids
-        smooth = StencilTable.identity(count).scaled((n - 3.0) / (n + 5.0)) + sums.scaled(4.0 / (n * (n + 5.0)))
-        others = corner_points(self.around, self._masks)
-        return smooth.scaled(1.0 * (rule == SMOOTH)) + others.scaled(1.0 * (rule != SMOOTH))
+        weight = np.concatenate([(n - 3.0) / (n + 5.0), around])
+        rows = np.concatenate([np.arange(len(odd)), row, row])
+        return _instead(found, odd, self._of(rows, column, weight, len(odd)))
+
+    def _of(self, rows: Any, columns: Any, weights: Any, count: int) -> StencilTable:
+        return StencilTable.of(rows, columns, weights, (count, self._pool.rows)) @ self._pool
 
     @cached_property
     def edges(self) -> StencilTable:
         """e, two an edge: rows 2 e (at the lower vertex) and 2 e + 1."""
         mesh, around = self.around.mesh, self.around
         rule = around.rule[mesh.corners]
-        own = np.flatnonzero(~around.sharp_from[:, 0] & (rule != CORNER))
+        own = np.flatnonzero(~around.sharp_from[:, 0] & (rule != CORNER) & ~self._regular[mesh.corners])
         row, first = np.unique(out_and_back(mesh)[0][own], return_index=True)
         corner = own[first]
         fan, k = self._fan[corner], around.fans.position[corner]
         angle = k * 2.0 * np.pi / around.steps[fan]
         a, b = (table.take(fan) for table in self._frame)
         found = a.scaled(np.cos(angle)) + b.scaled(np.sin(angle)) + self.vertices.take(mesh.corners[corner])
-        table = acc_edge_points(around, self._masks)
-        place = np.arange(table.rows)
-        place[row] = table.rows + np.arange(len(row))
-        return table.stacked(found).take(place)
+        return _instead(acc_edge_points(around, self._masks), row, found)
 
     @cached_property
     def _frame(self) -> tuple[StencilTable, StencilTable]:
-        """A and B of every fan: edge k is at p + cos(k t) A + sin(k t) B."""
-        n = self.around.steps.astype(float)
-        lam = eigenvalue(n)
-        closed = self.around.fans.closed
+        """A and B of every irregular fan: edge k is at p + cos(k t) A + sin(k t) B."""
+        lam = eigenvalue(self.around.steps.astype(float))
         crease_a, crease_b = self._crease_frame
-        a, b = (self._waves(phase).scaled(2.0 / 3.0 * lam * closed) for phase in (np.cos, np.sin))
+        a, b = (self._waves(phase).scaled(2.0 / 3.0 * lam) for phase in (np.cos, np.sin))
         return a + crease_a.scaled(1.0 / 3.0), b + crease_b.scaled(2.0 / 3.0 * lam)
 
     def _waves(self, phase: Any) -> StencilTable:
-        """q_0 (cosines) or q_(n/4) (sines) of every fan."""
+        """q_0 (cosines) or q_(n/4) (sines) of every closed irregular fan."""
         mesh, fans = self.around.mesh, self.around.fans
-        n = self.around.steps[self._fan].astype(float)
+        c = np.flatnonzero(fans.closed[self._fan] & ~self._regular[mesh.corners])
+        fan, k = self._fan[c], fans.position[c]
+        n = self.around.steps[fan].astype(float)
         cosine = np.cos(np.pi / n)
-        s, t, k = 1.0 / np.sqrt(4.0 + cosine**2), 2.0 * np.pi / n, fans.position
-        of_edges, of_faces = 2.0 / n * (1.0 - s * cosine) * phase(k * t), 4.0 / n * s * phase((k + 0.5) * t)
-        count = len(fans.size)
-        edges = StencilTable.of(self._fan, mesh.edge, of_edges, (count, mesh.edge_count))
-        faces = StencilTable.of(self._fan, mesh.face, of_faces, (count, mesh.face_count))
-        return edges @ self.middles + faces @ self.centroids
+        s, t = 1.0 / np.sqrt(4.0 + cosine**2), 2.0 * np.pi / n
+        weights = 2.0 / n * (1.0 - s * cosine) * phase(k * t), 4.0 / n * s * phase((k + 0.5) * t)
+        column = np.concatenate([f + x[c] for f, x in zip(self._first, (mesh.edge, mesh.face), strict=True)])
+        return self._of(np.tile(fan, 2), column, np.concatenate(weights), len(fans.size))
 
     @cached_property
     def _crease_frame(self) -> tuple[StencilTable, StencilTable]:
@@ -138,37 +155,56 @@ class Points:
     def faces(self) -> tuple[StencilTable, StencilTable]:
         """f of every corner V, along V -> W and along V -> X."""
         mesh, around = self.around.mesh, self.around
-        corner, before = np.arange(len(mesh.corners)), mesh.prev_corner
-        at_corner = around.rule[mesh.corners] == CORNER
-        there = [self._smooth & ~at_corner, self._smooth[before] & ~at_corner]
+        before, vertex = mesh.prev_corner, mesh.corners
+        regular = self._regular
+        corner = np.flatnonzero(~(regular[vertex] & regular[mesh.ends] & regular[vertex[before]]))
+        fixed = around.rule[vertex] == CORNER
+        there = [(self._smooth & ~fixed)[corner], (self._smooth[before] & ~fixed)[corner]]
         other = mesh.next_corner[np.maximum(mesh.twin, 0)], np.maximum(mesh.twin[before], 0)
         across = mesh.edge[other[0]], mesh.edge[before[other[1]]]
-        beside = mesh.edge[before], mesh.edge
         out, back = out_and_back(mesh)
-        near, far = (out, back[before]), (back, out[before])
-        last = mesh.next_corner, before
-        found = [
-            self._face_points(corner, last[k], near[k], far[k], beside[k], across[k], mesh.face[other[k]])
-            for k in (0, 1)
-        ]
-        both = found[0].stacked(found[1], self._masks.normalised())
-        count = len(corner)
-        rows = [np.where(there[k], corner + k * count, corner + (1 - k) * count) for k in (0, 1)]
-        neither = ~there[0] & ~there[1]
-        plus, minus = (both.take(np.where(neither, corner + 2 * count, row)) for row in rows)
-        return plus, minus
+        along = (
+            (mesh.next_corner, out, back, mesh.edge[before], across[0], mesh.face[other[0]]),
+            (before, back[before], out[before], mesh.edge, across[1], mesh.face[other[1]]),
+        )
+        found = [self._face_points(corner, *(numbers[corner] for numbers in own)) for own in along]
+        both = self._masks.normalised().stacked(*found)
+        rows = [len(vertex) + k * len(corner) + np.arange(len(corner)) for k in (0, 1)]
+        plus, minus = np.tile(np.arange(len(vertex)), (2, 1))
+        plus[corner] = np.select([there[0], there[1]], rows, corner)
+        minus[corner] = np.select([there[1], there[0]], rows[::-1], corner)
+        return both.take(plus), both.take(minus)
 
     def _face_points(self, corner: Any, last: Any, near: Any, far: Any, beside: Any, across: Any, other: Any) -> Any:
         """f of corners along edges, from the numbers of what lies around them."""
-        mesh = self.around.mesh
-        d = np.where(mesh.sizes[mesh.face] == 4, 3.0, 4.0)
+        mesh, (middles, centroids) = self.around.mesh, self._first
+        d = np.where(mesh.sizes[mesh.face[corner]] == 4, 3.0, 4.0)
         cosine = np.cos(2.0 * np.pi / self.around.steps)[self._fan]
-        c_a, c_b = cosine, cosine[last]
-        r = (self.middles.take(beside) - self.middles.take(across)).scaled(1.0 / 3.0)
-        r = r + (self.centroids.take(mesh.face) - self.centroids.take(other)).scaled(2.0 / 3.0)
-        at_a = self.vertices.take(mesh.corners[corner]).scaled(c_b)
-        ends = self.edges.take(near).scaled(slide(d, c_a, c_b)) + self.edges.take(far).scaled(2.0 * c_a)
-        return (at_a + ends + r).scaled(1.0 / d)
+        c_a, c_b = cosine[corner], cosine[last]
+        edges, points = self._pool.rows, self._pool.rows + self.edges.rows
+        ones = np.ones(len(corner))
+        terms = (
+            (points + mesh.corners[corner], c_b),
+            (edges + near, slide(d, c_a, c_b)),
+            (edges + far, 2.0 * c_a),
+            (middles + beside, ones / 3.0),
+            (middles + across, -ones / 3.0),
+            (centroids + mesh.face[corner], 2.0 * ones / 3.0),
+            (centroids + other, -2.0 * ones / 3.0),
+        )
+        columns, weights = (np.stack(x, axis=1) for x in zip(*terms, strict=True))
+        pool = self._pool.stacked(self.edges, self.vertices)
+        rows = np.repeat(np.arange(len(corner)), len(terms))
+        return StencilTable.of(rows, columns.ravel(), (weights / d[:, None]).ravel(), (len(corner), pool.rows)) @ pool
+
+
+def _instead(table: StencilTable, rows: Int[np.ndarray, "n"], found: StencilTable) -> StencilTable:
+    """The table with other rows in the place of these."""
+    if not len(rows):
+        return table
+    place = np.arange(table.rows)
+    place[rows] = table.rows + np.arange(len(rows))
+    return table.stacked(found).take(place)
 
 
 def slide(d: Any, c_a: Any, c_b: Any) -> Any:

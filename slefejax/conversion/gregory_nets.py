@@ -42,7 +42,7 @@ def gregory_patches(mesh: Mesh) -> Patchwork:
     none = StencilTable.of([], [], [], (1, mesh.vertex_count))
     place = np.full(twists.rows + 1, own.points.rows)
     place[there] = own.points.rows + 1 + np.arange(len(there))
-    table = own.points.stacked(none, twists.take(there))
+    table = own.points.stacked(none, twists.take(there)).pruned(_ROUNDING)
     return Patchwork(table, own.net, np.arange(mesh.face_count), kinds(around), twists=place[own.corners])
 
 

@@ -103,6 +103,13 @@ class StencilTable:
         """The sum of the weights of every row."""
         return np.asarray(self.matrix.sum(axis=1)).ravel()
 
+    def pruned(self, least: float) -> StencilTable:
+        """Without weights of at most that size, which rounding left."""
+        matrix = self.matrix.copy()
+        matrix.data *= np.abs(matrix.data) > least
+        matrix.eliminate_zeros()
+        return StencilTable(matrix)
+
     def take(self, rows: Any) -> StencilTable:
         """The rows of these numbers, in their order."""
         return StencilTable(csr_array(self.matrix[np.asarray(rows, np.int64)]))
