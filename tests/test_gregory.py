@@ -80,7 +80,8 @@ def jumps(mesh, work):
 @pytest.mark.parametrize("valence", VALENCES)
 def test_corners_are_limit_points_and_tangents_eigenvectors(valence, below, rng):
     """A step of subdivision moves no corner, and makes the frame of every fan its eigenvalue times as long."""
-    mesh = closed(valence, below, rng)
+    # the vertex opposite of triangles has twice as many
+    mesh = closed(min(valence, 32) if below == "triangles" else valence, below, rng)
     finer, step, _ = refine(mesh)
     now, later = Points(Neighbourhood.of(mesh)), Points(Neighbourhood.of(finer))
     old = np.arange(mesh.vertex_count)

@@ -152,7 +152,7 @@ def test_ends_of_the_part_of_the_picture(rng, offset):
     size, half = jnp.full(lanes, 4.0), jnp.asarray(100.0)
     floor, ones = jnp.full(lanes, 0.1), jnp.ones(lanes)
     screen = Screen([x], w, [half], floor, [size], 2.0 * ones, eps, ones > 0, False, None)
-    piece = Piece.of(screen, None, 1)
+    piece = Piece.of(screen, None, None, 1)
     (low, high), error = (np.asarray(end) for end in piece.ends[0]), _ROUNDING * eps
     assert np.all(np.asarray(piece.within[0]))
     for x_sign in (-1, 1):

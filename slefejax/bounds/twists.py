@@ -12,17 +12,16 @@ where s and t are u and v, or of pinched triangles u and (1-u) v. w is homogeneo
 from __future__ import annotations
 
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from slefejax.geometry.bezier import elevate
+from slefejax.geometry.bezier import elevate, tile_matrices
 from slefejax.geometry.gregory import QUAD_TWISTS
-from slefejax.lanes import nets
 from slefejax.lanes.maxima import larger, smaller
-from slefejax.lanes.nets import Lanes, Net
+from slefejax.lanes.nets import Lanes
 
 # Bézier coefficients of polynomials that are nowhere below n^2 |b z - I b z| on n x n grids of any n, cut along either
 # diagonal: for the slot at (0, 0). Found by linear programming, and a fiftieth larger, for lines that are not quite
@@ -87,6 +86,29 @@ def spreads(slots: int, degree: int) -> Float[np.ndarray, "slots n n"]:
         own = _raised(0.5 * np.outer(np.eye(5)[1], np.eye(4)[1]), 4)
         found += [own, own[:, ::-1]]
     return np.stack(found)
+
+
+class OnTiles(NamedTuple):
+    """Of all terms, tile by tile."""
+
+    spread: Any  # (tiles^2, slots): how far they lie from 0
+    errors: Any  # (tiles^2, slots, n, n): coefficients of ``even_errors``
+
+
+@cache
+def on_tiles(slots: int, degree: int, tiles: int) -> OnTiles:
+    """Of the tiles of a patch, in the order of ``tile_matrices``.
+
+    >>> on_tiles(4, 3, 2).spread[0].round(3).tolist()
+    [0.125, 0.031, 0.008, 0.031]
+    """
+    matrices = tile_matrices(degree + 1, degree + 1, tiles)
+
+    def restricted(tables: np.ndarray) -> np.ndarray:
+        return np.einsum("tia,tjb,sab->tsij", *matrices, tables)
+
+    spread = restricted(spreads(slots, degree)).max(axis=(2, 3))
+    return OnTiles(spread, restricted(even_errors(slots, degree)))
 
 
 def _raised(net: Float[np.ndarray, "m n"], degree: int) -> Float[np.ndarray, "k k"]:
@@ -169,18 +191,3 @@ def _changing(low: Lanes, high: Lanes, x: Lanes, z: Lanes) -> Lanes:
     mixed = lambda y: 0.5 - 3.0 * y * y + 2.0 * y**3  # noqa: E731
     last = (1.0 - low) ** 3 - (1.0 - high) ** 3
     return (high**3 - low**3) * x * x + (mixed(low) - mixed(high)) * x * z + last * z * z
-
-
-def weighted(sizes: list[Lanes], tables: Float[np.ndarray, "slots n n"], unrolled: bool) -> Net:
-    """The sum of the tables times numbers that are not negative, as a net.
-
-    >>> weighted([jnp.ones(1)] * 4, spreads(4, 3), True)[1, 2].tolist()
-    [0.5]
-    """
-    if not unrolled:
-        return jnp.einsum("kl,kij->ijl", jnp.stack(sizes), jnp.asarray(tables, sizes[0].dtype))
-    found = np.empty(tables.shape[1:], object)
-    for place in np.ndindex(*found.shape):
-        parts = [size * float(own[place]) for size, own in zip(sizes, tables, strict=True) if own[place]]
-        found[place] = nets.total(parts) if parts else jnp.zeros_like(sizes[0])
-    return found

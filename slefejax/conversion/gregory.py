@@ -52,17 +52,14 @@ class Points:
         return (mesh.twin >= 0) & ~self.around.sharp[mesh.edge]
 
     @cached_property
-    def _quads(self) -> Bool[np.ndarray, "vertices"]:
-        """Whether all faces around a vertex are quads: then ``acc`` has its corner point."""
-        mesh = self.around.mesh
-        return np.bincount(mesh.corners, mesh.sizes[mesh.face] != 4, minlength=mesh.vertex_count) == 0
-
-    @cached_property
     def _regular(self) -> Bool[np.ndarray, "vertices"]:
         """Smooth inner vertices of four quads: around these, points are those of ``acc``."""
-        faces = np.bincount(self.around.mesh.corners, minlength=self.around.mesh.vertex_count)
-        inner = self.around.mesh.valence == faces
-        return self._quads & inner & (faces == 4) & (self.around.rule == SMOOTH)
+        mesh = self.around.mesh
+        faces, quads = (
+            np.bincount(mesh.corners, weights, minlength=mesh.vertex_count)
+            for weights in (None, mesh.sizes[mesh.face] == 4)
+        )
+        return (mesh.valence == 4) & (faces == 4) & (quads == 4) & (self.around.rule == SMOOTH)
 
     @cached_property
     def _pool(self) -> StencilTable:
@@ -83,7 +80,7 @@ class Points:
         """p, on boundaries and creases a B-spline's."""
         mesh = self.around.mesh
         found = corner_points(self.around, self._masks)
-        odd = np.flatnonzero(~self._quads & (self.around.rule == SMOOTH))
+        odd = np.flatnonzero(~self._regular & (self.around.rule == SMOOTH))
         place = np.full(mesh.vertex_count, -1)
         place[odd] = np.arange(len(odd))
         corner = np.flatnonzero(place[mesh.corners] >= 0)

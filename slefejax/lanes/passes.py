@@ -165,9 +165,9 @@ def _split(chunks: Any) -> list[Any]:
 def _shared(part: Any, count: int) -> list[Any]:
     if isinstance(part, Parts):
         return list(part.each)
-    if part is None:
-        return [None] * count
-    return np.split(np.asarray(part), count)
+    leaves, tree = jax.tree.flatten(part)
+    pieces = [np.split(np.asarray(leaf), count) for leaf in leaves]
+    return [tree.unflatten(own) for own in zip(*pieces, strict=True)] if leaves else [part] * count
 
 
 def _on_cpu(leaf: Any) -> bool:

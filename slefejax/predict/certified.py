@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from slefejax.bounds.triangles import Extent, HalfCells, Triangles, sum_of_sizes
-from slefejax.bounds.twists import any_errors, even_errors, spreads, weighted
+from slefejax.bounds.twists import any_errors, on_tiles
 from slefejax.geometry.bezier import tile_matrices
 from slefejax.geometry.gregory import Twisted
 from slefejax.geometry.projection import Projection, numbers, reaches, undivided
@@ -67,16 +68,17 @@ def certified_factor(
                  seen, and what it reaches of the picture, is exact in any case
     unrolled   : the form of the nets; None: what suits their degrees
     """
-    if unrolled is None:  # twist terms would make loops that are not vectorised
+    if unrolled is None:
         net = control.net if isinstance(control, Twisted) else control
         few = net.shape[0] * net.shape[1] <= TUNING.unrolled_coefficients
-        unrolled = bool(few and net.shape[2] == 3 and maxima.exact and net is control)
+        unrolled = bool(few and net.shape[2] == 3 and maxima.exact)
     shapes = HalfCells() if triangles is None else triangles
     screen = Screen.of(control, projection, tolerances, unrolled)
     bends = [_largest_sum(net, shapes.extent, maxima) for net in (*screen.rows[:2], screen.w)]
     if screen.turns is not None:
-        bends = [b + screen.turns.bend(own, shapes) for b, own in zip(bends, screen.turns.all_but_depth, strict=True)]
-    of_pieces = _of_the_whole if tiles == 1 else partial(_of_tiles, tiles=tiles)
+        turned = (*screen.turns.every[:2], screen.turns.every[3])
+        bends = [b + screen.turns.bend(own, shapes) for b, own in zip(bends, turned, strict=True)]
+    of_pieces = _of_the_whole if tiles == 1 and screen.turns is None else partial(_of_tiles, tiles=tiles)
     square = of_pieces(screen, shapes, bends, maxima)
     rounded = 1.0 + 128.0 * screen.eps
     # a bound that 1 fulfils is not rounded up: flat patches are one quad
@@ -86,7 +88,10 @@ def certified_factor(
 
 def _of_the_whole(screen: Screen, triangles: Triangles, bends: list[Lanes], maxima: Maxima) -> Lanes:
     """n^2 of patches in one piece: at least what the corners need, which is known without a second loop."""
-    whole = Piece.of(screen, None, 1)
+    table = None
+    if screen.turns is not None:
+        table = jax.tree.map(lambda x: x[0], on_tiles(screen.turns.slots, nets.degrees(screen.w)[0], 1))
+    whole = Piece.of(screen, None, table, 1)
     least = _least_square(screen, whole, triangles.extent, maxima)
     square = _square(screen, whole, bends[2], triangles, maxima, 1.0 / jnp.sqrt(least))
     return maxima.largest([square, jnp.where(least > 1.0, least, 0.0)])
@@ -96,21 +101,31 @@ def _of_tiles(screen: Screen, triangles: Triangles, bends: list[Lanes], maxima: 
     """The largest n^2 that a tile needs."""
     unrolled, lanes = nets.unrolled(screen.w), screen.w_size
 
-    def step(found: Lanes, matrices: tuple[Any, Any], which: tuple[int, ...]) -> tuple[Lanes, None]:
+    def step(found: Lanes, given: tuple[Any, Any], which: tuple[int, ...]) -> tuple[Lanes, None]:
         if unrolled:
             # lanes all the same: with single numbers the compiler would split the loop
-            matrices = jax.tree.map(lambda x: [[jnp.broadcast_to(c, lanes.shape) for c in row] for row in x], matrices)
-        piece = Piece.of(screen, matrices, tiles)
+            given = jax.tree.map(lambda x: _numbers(x, lanes), given)
+        piece = Piece.of(screen, *given, tiles)
         square = _square(screen, piece, bends[2], triangles, maxima, which=which)
         return maxima.largest([found, smaller(square, _last_visible(screen, piece, bends))]), None
 
     (du, dv), square = nets.degrees(screen.w), jnp.zeros_like(lanes)
-    matrices = jax.tree.map(lambda x: jnp.asarray(x, lanes.dtype), tile_matrices(du + 1, dv + 1, tiles))
+    table = None if screen.turns is None else on_tiles(screen.turns.slots, du, tiles)
+    given = jax.tree.map(lambda x: jnp.asarray(x, lanes.dtype), (tile_matrices(du + 1, dv + 1, tiles), table))
     every = tuple(range(len(screen.rows)))
-    # unrolled, loops over three rows take the compiler longer than two loops
-    for which in (every[:2], every[2:]) if unrolled and every[2:] else (every,):
-        square, _ = jax.lax.scan(partial(step, which=which), square, matrices)
+    # unrolled, loops over three rows take the compiler longer than two loops; with twist terms, those over two rows are
+    # not vectorised
+    by_loop = (every,)
+    if unrolled:
+        by_loop = (every[:2], *([every[2:]] if every[2:] else [])) if screen.turns is None else [(k,) for k in every]
+    for which in by_loop:
+        square, _ = jax.lax.scan(partial(step, which=which), square, given)
     return square
+
+
+def _numbers(array: Any, lanes: Lanes) -> Any:
+    """Rows and rows of numbers, each of them lanes."""
+    return [_numbers(x, lanes) for x in array] if array.ndim else jnp.broadcast_to(array, lanes.shape)
 
 
 class Screen(NamedTuple):
@@ -147,11 +162,12 @@ class Screen(NamedTuple):
         *own, w_size = (nets.total([jnp.abs(m) * c for m, c in zip(row, largest, strict=True)]) for row in rows)
         sizes = [size + extent * w_size for size, extent in zip(own, half, strict=True)]
         eps = float(jnp.finfo(control.dtype).eps)
-        turns = None if twists is None else Turns.of(rows, twists, nets.degrees(w)[0], unrolled)
+        turns = None if twists is None else Turns.of(rows, twists)
+        rooms = [] if turns is None else turns.rooms(on_tiles(turns.slots, nets.degrees(w)[0], 1).spread[0].tolist())
         inside = []
         for k, (net, extent, size) in enumerate(zip((x, y, z), half, sizes, strict=True)):
             error = _ROUNDING * eps * size
-            inside += [reach + error for reach in _reaches(net, w, extent, turns, k)]
+            inside += [reach + error for reach in _reaches(net, w, extent, rooms, k)]
         # a reduction of stacked arrays would not be vectorised
         visible = reduce(jnp.logical_and, [reach >= 0 for reach in inside])
         weight = nets.bottom(points[3]) if rational else jnp.ones_like(largest[0])
@@ -163,20 +179,21 @@ class Screen(NamedTuple):
 class Turns(NamedTuple):
     """Twist terms of Gregory patches in undivided screen coordinates (docs/certified.md, 10)."""
 
-    every: list[list[Lanes]]  # of X, Y, Z and W, slot by slot
-    spread: list[Net]  # of the same: how far terms lie from 0
+    every: list[list[Lanes]]  # twists of X, Y, Z and W, slot by slot
 
     @staticmethod
-    def of(rows: list[list[Any]], twists: Array, degree: int, unrolled: bool) -> Turns:
+    def of(rows: list[list[Any]], twists: Array) -> Turns:
         """From twists ``(slots, 3, lanes)``, differences of points."""
-        every = [[nets.total([m * x for m, x in zip(row[:3], own, strict=True)]) for own in twists] for row in rows]
-        table = spreads(len(twists), degree)
-        return Turns(every, [weighted([jnp.abs(x) for x in own], table, unrolled) for own in every])
+        return Turns([[nets.total([m * x for m, x in zip(row, own, strict=False)]) for own in twists] for row in rows])
 
     @property
-    def all_but_depth(self) -> list[list[Lanes]]:
-        """Of X, Y and W."""
-        return [*self.every[:2], self.every[3]]
+    def slots(self) -> int:
+        """How many terms there are."""
+        return len(self.every[0])
+
+    def rooms(self, spread: Any) -> list[Lanes]:
+        """How far the terms lie from 0, of X, Y, Z and W."""
+        return [nets.total([jnp.abs(t) * c for t, c in zip(own, spread, strict=True)]) for own in self.every]
 
     def bend(self, twists: list[Lanes], triangles: Triangles) -> Lanes:
         """8 times what terms err at most, anywhere, on triangles that lie in boxes of extent/n, times n^2."""
@@ -184,16 +201,22 @@ class Turns(NamedTuple):
         own = any_errors(len(twists))
         return 8.0 * largest**2 * nets.total([jnp.abs(t) * float(c) for t, c in zip(twists, own, strict=True)])
 
-    def errors(self, k: int, s: Lanes, triangles: Triangles, piece: Piece) -> Net:
-        """The same for g_s of a row, coefficient by coefficient of a piece."""
-        own = [x - s * w for x, w in zip(self.every[k], self.every[3], strict=True)]
-        (e_u, e_v), unrolled = triangles.extent, nets.unrolled(piece.w)
+    def errors(self, k: int, piece: Piece, triangles: Triangles) -> Net:
+        """The same for g_s of a row and both ends of s, coefficient by coefficient of a piece, whose scale it has."""
+        pairs = list(zip(self.every[k], self.every[3], strict=True))
+        sizes = [reduce(larger, [jnp.abs(x - s * w) for s in piece.ends[k]]) for x, w in pairs]
         even = isinstance(triangles, HalfCells) and isinstance(triangles.evenness, float) and triangles.evenness == 1.0
-        if not (even and isinstance(e_u, float) and isinstance(e_v, float) and e_u == e_v == 1.0):
-            whole = self.bend(own, triangles) / piece.scale
+        if not (even and all(isinstance(e, float) and e == 1.0 for e in triangles.extent)):
+            whole = self.bend(sizes, triangles) / piece.scale
             return nets.each(lambda c: jnp.zeros_like(c) + whole, piece.w)
-        table = even_errors(len(own), nets.degrees(piece.w)[0]) * (8.0 / piece.scale)
-        return piece.restricted(weighted([jnp.abs(x) for x in own], table, unrolled))
+        scale = 8.0 / piece.scale
+        if not nets.unrolled(piece.w):
+            table = jnp.asarray(piece.table.errors, sizes[0].dtype) * scale
+            return jnp.einsum("sl,sij->ijl", jnp.stack(sizes), table, precision=jax.lax.Precision.HIGHEST)
+        found = np.empty(piece.w.shape, object)
+        for i, j in np.ndindex(*found.shape):
+            found[i, j] = nets.total([t * own[i][j] for t, own in zip(sizes, piece.table.errors, strict=True)]) * scale
+        return found
 
 
 class Piece(NamedTuple):
@@ -206,24 +229,24 @@ class Piece(NamedTuple):
     ends: list[tuple[Lanes, Lanes]]  # of the part of the picture, for every row
     within: list[Lanes]  # whether it ends inside of the picture, for every row
     scale: float  # second derivatives of the patch are these times those of the tile
-    matrices: Any  # that make a tile of a patch; None of the whole patch
-
-    def restricted(self, net: Net) -> Net:
-        """Another net of the patch on this piece."""
-        return net if self.matrices is None else nets.combined(net, *self.matrices)
+    rooms: list[Lanes]  # of Gregory patches: how far their twist terms lie from 0, of X, Y, Z and W
+    table: Any  # and what these err at most (``OnTiles``)
 
     @staticmethod
-    def of(screen: Screen, matrices: Any, tiles: int) -> Piece:
-        """Where W may lie below the floor, the floor stands for it, and all of the picture is reached."""
+    def of(screen: Screen, matrices: Any, table: Any, tiles: int) -> Piece:
+        """Where W may lie below the floor, the floor stands for it, and all of the picture is reached.
+
+        matrices : that make the tile of the patch; None: the whole patch
+        table    : of Gregory patches: their ``OnTiles`` of this tile
+        """
         *rows, w = (net if matrices is None else nets.combined(net, *matrices) for net in (*screen.rows, screen.w))
         error = _ROUNDING * screen.eps
         w_blur = error * screen.w_size
-        safe = nets.each(lambda c: c - w_blur, w)
-        room: list[Net] = []
+        rooms: list[Lanes] = []
         if screen.turns is not None:
-            room = [net if matrices is None else nets.combined(net, *matrices) for net in screen.turns.spread]
-            safe = nets.each(lambda c, r: c - r, safe, room[3])
-            w_blur = w_blur + nets.top(room[3])
+            rooms = screen.turns.rooms(table.spread)
+            w_blur = w_blur + rooms[3]
+        safe = nets.each(lambda c: c - w_blur, w)
         deep = nets.bottom(safe) >= screen.floor
         inverse = nets.each(lambda c: 1.0 / jnp.where(deep, c, screen.floor), safe)
         widest = nets.top(inverse)
@@ -232,16 +255,13 @@ class Piece(NamedTuple):
         ends, within = [], []
         for k, (net, half, size) in enumerate(zip(rows, screen.half, screen.sizes, strict=True)):
             limit = jnp.broadcast_to(half, deep.shape)
-            blur = error * size
-            lower, upper = (nets.each(lambda c, e=e: c + e, net) for e in (-blur, blur))
-            if room:
-                lower, upper = nets.each(jnp.subtract, lower, room[k]), nets.each(jnp.add, upper, room[k])
-            low = jnp.where(deep, nets.bottom(nets.each(jnp.multiply, lower, inverse)), -limit)
-            high = jnp.where(deep, nets.top(nets.each(jnp.multiply, upper, inverse)), limit)
+            blur = error * size + rooms[k] if rooms else error * size
+            low = jnp.where(deep, nets.bottom(nets.each(lambda c, i, e=blur: (c - e) * i, net, inverse)), -limit)
+            high = jnp.where(deep, nets.top(nets.each(lambda c, i, e=blur: (c + e) * i, net, inverse)), limit)
             low, high = smaller(low, low * least), larger(high, high * least)
             ends.append((_clip(low, limit), _clip(high, limit)))
             within.append(deep & (low >= -limit) & (high <= limit))
-        return Piece(rows, w, inverse, widest, ends, within, float(tiles**2), matrices)
+        return Piece(rows, w, inverse, widest, ends, within, float(tiles**2), rooms, table)
 
 
 class Remainder(NamedTuple):
@@ -313,12 +333,8 @@ def _square(
         row, ends, size = piece.rows[k], piece.ends[k], screen.sizes[k]
         remainder = _remainder(_third_differences(screen.rows[k]), w, ends, triangles.extent, maxima)
         hessian = _hessian(row, triangles.extent)
-        turns = screen.turns
-        errors = [None if turns is None else turns.errors(k, s, triangles, piece) for s in ends]
-        tops = [
-            nets.top(_measured(triangles, s, hessian, depth, piece.inverse, maxima, more), maxima)
-            for s, more in zip(ends, errors, strict=True)
-        ]
+        more = None if screen.turns is None else screen.turns.errors(k, piece, triangles)
+        tops = [nets.top(_measured(triangles, s, hessian, depth, piece.inverse, maxima, more), maxima) for s in ends]
         second = maxima.largest(tops)
         if screen.rational:
             followed = _followed(screen, piece, row, size, triangles, maxima)
@@ -374,13 +390,12 @@ def _last_visible(screen: Screen, piece: Piece, bends: list[Lanes]) -> Lanes:
     error = _ROUNDING * screen.eps
     *row_bends, w_bend = bends
     planes = [(screen.floor - error * screen.w_size - nets.top(piece.w), w_bend)]
-    if screen.turns is not None:
-        w_room, least = nets.top(piece.restricted(screen.turns.spread[3])), planes[0][0]
-        planes = [(least - w_room, w_bend)]
+    if piece.rooms:
+        planes = [(planes[0][0] - piece.rooms[3], w_bend)]
     for k, (net, half, size, bend) in enumerate(
         zip(piece.rows[:2], screen.half[:2], screen.sizes[:2], row_bends, strict=True)
     ):
-        reached = _reaches(net, piece.w, half, screen.turns, k, piece.matrices)
+        reached = _reaches(net, piece.w, half, piece.rooms, k)
         planes += [(-reach - error * size, bend + half * w_bend) for reach in reached]
     last = jnp.full_like(screen.w_size, jnp.inf)
     for outside, bend in planes:
@@ -390,13 +405,12 @@ def _last_visible(screen: Screen, piece: Piece, bends: list[Lanes]) -> Lanes:
     return last
 
 
-def _reaches(net: Net, w: Net, half: Any, turns: Turns | None, k: int, matrices: Any = None) -> tuple[Lanes, Lanes]:
+def _reaches(net: Net, w: Net, half: Any, rooms: list[Lanes], k: int) -> tuple[Lanes, Lanes]:
     """``reaches``, and what twist terms may add."""
     found = reaches(net, w, half)
-    if turns is None:
+    if not rooms:
         return found
-    spread = nets.each(lambda x, y: x + half * y, turns.spread[k], turns.spread[3])
-    more = nets.top(spread if matrices is None else nets.combined(spread, *matrices))
+    more = rooms[k] + half * rooms[3]
     return found[0] + more, found[1] + more
 
 
