@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from slefejax import GregoryPatches
 from slefejax.experiments.attack.claims import Claim, Rng, Scene, claim_of, claimed, rng_of, scene_of
 from slefejax.experiments.attack.drawn import judged_levels
 from slefejax.experiments.attack.judge import ALLOWANCE, Found, Screen, judge_uniform, settled
@@ -83,7 +84,7 @@ def decided(claim: Claim, found: Found) -> tuple[np.ndarray, list[int]]:
     seen, factor = found.ratio >= 0, claim.factor
     ratio = np.where(seen, found.ratio, 0.0)
     for k in np.flatnonzero(np.isfinite(ratio) & (ratio > 1.0)):
-        ratio[k] = settled(claim.patches[k], claim.look, claim.tolerances, found.triangle[k], found.share[k])
+        ratio[k] = settled(claim.patches[[k]], claim.look, claim.tolerances, found.triangle[k], found.share[k])
     ratio = np.where(~np.isfinite(factor) | (seen & (factor == 0)), np.inf, ratio)
     return ratio, np.flatnonzero((ratio > 1.0 + ALLOWANCE) & claim.own).tolist()
 
@@ -139,7 +140,7 @@ def _with_neighbours_only(claim: Claim, numbers: np.ndarray, k: int, setting: Se
 
 def _drawn_offender(claim: Claim, numbers: np.ndarray, judged: Found, k: int, ratio: float) -> Row:
     """All patches of the scene: neighbours have a say in levels."""
-    scene = {"patches": claim.patches.astype(np.float64).tolist(), "which": k, "edge_numbers": numbers.tolist()}
+    scene = {**_lists(claim.patches), "which": k, "edge_numbers": numbers.tolist()}
     levels = {"inner": claim.found.inner.tolist(), "edges": claim.found.edges.tolist()}
     return {**offender(claim, judged, k, ratio), **scene, **levels}
 
@@ -167,11 +168,18 @@ def outcome(
     }
 
 
+def _lists(patches: Any) -> Row:
+    """Control points, and twists of Gregory patches."""
+    if isinstance(patches, GregoryPatches):
+        return _lists(patches.net) | {"twists": patches.twists.astype(np.float64).tolist()}
+    return {"patches": patches.astype(np.float64).tolist()}
+
+
 def offender(claim: Claim, found: Found, k: int, ratio: float) -> Row:
     """All numbers of a violation: the patch, the claim, and the worst place, a triangle and the shares in it."""
     factor = float(claim.factor[k])
     return {
-        "patches": claim.patches[k : k + 1].astype(np.float64).tolist(),
+        **_lists(claim.patches[k : k + 1]),
         "look": list(claim.look),
         "tolerances": list(claim.tolerances),
         "factor": factor if np.isfinite(factor) else None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -28,7 +28,7 @@ _SELDOM, _MORE = 0.1, 4.0  # how often levels are so many times those of the set
 class Scene(NamedTuple):
     """Patches of a batch as they are asked for, and the views of them by name."""
 
-    patches: np.ndarray
+    patches: Any
     looks: dict[str, Look]
 
 
@@ -39,7 +39,7 @@ class Claim(NamedTuple):
     own        : ``(patches,)``, false for those that stand in for others, whose factors are too large to judge
     """
 
-    patches: np.ndarray
+    patches: Any
     look: Look
     tolerances: tuple[float, float | None]
     found: Factors
@@ -80,7 +80,7 @@ def scene_of(family: str, setting: Setting, seed: int, rng: Rng) -> Scene:
 
 
 def claimed(
-    patches: np.ndarray, look: Look, setting: Setting, rng: Rng, edge_numbers: np.ndarray | None = None
+    patches: Any, look: Look, setting: Setting, rng: Rng, edge_numbers: np.ndarray | None = None
 ) -> Claim | None:
     """Factors for tolerances with which one of the patches needs just a whole number of cells.
 
@@ -108,7 +108,7 @@ def level_of(setting: Setting, rng: Rng) -> float:
 
 
 def claim_of(
-    patches: np.ndarray,
+    patches: Any,
     own: np.ndarray,
     look: Look,
     setting: Setting,
@@ -121,8 +121,8 @@ def claim_of(
 
 
 def affordable(
-    patches: np.ndarray, look: Look, setting: Setting, tolerances: tuple[float, float | None]
-) -> tuple[np.ndarray, np.ndarray]:
+    patches: Any, look: Look, setting: Setting, tolerances: tuple[float, float | None]
+) -> tuple[Any, np.ndarray]:
     """Patches, others in the place of those whose factors take too much time, and which are there themselves.
 
     None are where all would take too much: beside the eye no tolerance makes factors small.
@@ -158,6 +158,6 @@ def tuned(ask: Ask, guess: float, n: float, share: float) -> float | None:
     return guess
 
 
-def tolerance_for(patches: np.ndarray, look: Look, setting: Setting, rng: Rng) -> float | None:
+def tolerance_for(patches: Any, look: Look, setting: Setting, rng: Rng) -> float | None:
     """One with which the middle one of the factors is one of the setting's levels; None where refused."""
     return tuned(lambda t: predicted(patches, look, setting.plain, t), _GUESS, level_of(setting, rng), 0.5)

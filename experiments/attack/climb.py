@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
+from slefejax import GregoryPatches
 from slefejax.experiments.attack.batch import MOST_OFFENDERS, judged_uniform, outcome
 from slefejax.experiments.attack.claims import Claim, Rng, claim_of, degrees_of, tolerance_for
 from slefejax.experiments.attack.judge import Look
@@ -25,7 +27,7 @@ _MOVED = 0.4  # of the control points, a step
 class Climbers(NamedTuple):
     """Nets, their scores and how far they step."""
 
-    nets: np.ndarray
+    nets: Any
     score: np.ndarray
     stride: np.ndarray
 
@@ -63,8 +65,13 @@ def climb(family: str, setting: Setting, seed: int, rng: Rng) -> Row:
     return outcome(claims, ratios, offenders[:MOST_OFFENDERS], refused=refused)
 
 
-def _stepped(climbers: Climbers, rng: Rng) -> np.ndarray:
-    """Some control points moved; weights by a factor."""
+def _stepped(climbers: Climbers, rng: Rng) -> Any:
+    """Some control points moved, twists too; weights by a factor."""
+    if isinstance(climbers.nets, GregoryPatches):
+        twists = climbers.nets.twists
+        size = climbers.stride[:, None, None] * (rng.uniform(size=twists.shape[:2]) < _MOVED)[..., None]
+        net = _stepped(climbers._replace(nets=climbers.nets.net), rng)
+        return GregoryPatches(net, twists + size * rng.normal(size=twists.shape))
     size = climbers.stride[:, None, None, None] * (rng.uniform(size=climbers.nets.shape[:3]) < _MOVED)[..., None]
     moves = rng.normal(size=climbers.nets.shape)
     if climbers.nets.shape[3] == 3:
@@ -80,16 +87,17 @@ def _scores(ratio: np.ndarray, factor: np.ndarray) -> np.ndarray:
     return np.where(fit, ratio * (np.ceil(factor) / np.where(fit, factor, 1.0)) ** 2, -1.0)
 
 
-def _kept(climbers: Climbers, trial: np.ndarray, score: np.ndarray) -> Climbers:
+def _kept(climbers: Climbers, trial: Any, score: np.ndarray) -> Climbers:
     up = score > climbers.score
     stride = np.clip(climbers.stride * np.where(up, _LONGER, _SHORTER), 1e-5, 0.5)
-    return Climbers(np.where(up[:, None, None, None], trial, climbers.nets), np.maximum(score, climbers.score), stride)
+    chosen = jax.tree.map(lambda x, y: np.where(up.reshape(-1, *[1] * (x.ndim - 1)), x, y), trial, climbers.nets)
+    return Climbers(chosen, np.maximum(score, climbers.score), stride)
 
 
-def _aligned(patch: np.ndarray, look: Look, setting: Setting, tolerance: float) -> Claim | None:
+def _aligned(patch: Any, look: Look, setting: Setting, tolerance: float) -> Claim | None:
     """The claim for a tolerance with which the factor of a patch is a whole number, or a hair below."""
     # as many as ever, so that nothing new is compiled
-    patches, first = np.repeat(patch, setting.patches, axis=0), np.arange(setting.patches) == 0
+    patches, first = patch[np.zeros(setting.patches, np.int64)], np.arange(setting.patches) == 0
     claim = claim_of(patches, first, look, setting, (tolerance, None))
     for _ in range(_ASKED):
         if claim is None or not claim.factor[0] > 1.0:

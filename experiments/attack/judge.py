@@ -54,16 +54,20 @@ class Screen(NamedTuple):
     rows : ``(pairs, du+1, dv+1, 4)`` long double: X, Y, Z over their tolerances, from the picture's centre and half
            the depth, and W
     half : ``(pairs, 3)`` long double: the picture's half width, half height and half depth over the tolerances
+    twists : ``(pairs, slots, 4)`` likewise, of Gregory patches; no slots of others
     compared : 2, or 3 where depth is held to a tolerance too
     """
 
     rows: np.ndarray
     half: np.ndarray
+    twists: np.ndarray
     compared: int
 
     @staticmethod
-    def of(patches: np.ndarray, look: Look, tolerance: float, depth_tolerance: float | None = None) -> Screen:
-        """Of patches ``(patches, du+1, dv+1, 3)``, or 4 at the end if rational, each number taken as exact."""
+    def of(patches: Any, look: Look, tolerance: float, depth_tolerance: float | None = None) -> Screen:
+        """Of patches ``(patches, du+1, dv+1, 3)``, or 4 at the end if rational, or ``GregoryPatches``, each number
+        taken as exact."""
+        patches, twists = parts_of(patches)
         matrix, half = _camera(look, _long, np.tan)
         scale = _long([tolerance, tolerance, 1.0 if depth_tolerance is None else depth_tolerance])
         points = _long(patches)
@@ -72,17 +76,19 @@ class Screen(NamedTuple):
         rows = np.concatenate([beside, weight], axis=3) @ matrix.T
         rows[..., :3] /= scale
         half = np.broadcast_to(half / scale, (len(patches), 3))
-        return Screen(rows, half, 2 if depth_tolerance is None else 3)
+        turned = _long(twists) @ matrix[:, :3].T
+        turned[..., :3] /= scale
+        return Screen(rows, half, turned, 2 if depth_tolerance is None else 3)
 
     @staticmethod
     def joined(parts: list[Screen]) -> Screen:
         """The pairs of several views."""
-        rows, half = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
-        return Screen(rows, half, parts[0].compared)
+        rows, half, twists = (np.concatenate([part[k] for part in parts]) for k in (0, 1, 2))
+        return Screen(rows, half, twists, parts[0].compared)
 
     def only(self, chosen: Any) -> Screen:
         """Some of the pairs."""
-        return Screen(self.rows[chosen], self.half[chosen], self.compared)
+        return Screen(self.rows[chosen], self.half[chosen], self.twists[chosen], self.compared)
 
 
 class Found(NamedTuple):
@@ -131,13 +137,16 @@ def judge_triangles(screen: Screen, pair: np.ndarray, parameters: np.ndarray) ->
 
 
 def settled(
-    patch: np.ndarray,
+    patch: Any,
     look: Look,
     tolerances: tuple[float, float | None],
     triangle: np.ndarray,
     share: np.ndarray,
 ) -> float:
-    """The ratio at a place of one triangle with 60 digits, or a hair further inside of it where it is not seen."""
+    """The ratio at a place of one triangle with 60 digits, or a hair further inside of it where it is not seen.
+
+    patch : the one, as ``Screen.of`` takes it
+    """
     return max(
         _with_all_digits(patch, look, tolerances, triangle, share, inwards) for inwards in (0.0, 1e-15, 1e-12, 1e-9)
     )
@@ -253,11 +262,38 @@ def _bernstein(degree: int, t: np.ndarray) -> np.ndarray:
     return np.array([comb(degree, int(j)) for j in k]).astype(t.dtype) * t**k * (1 - t) ** (degree - k)
 
 
-def _evaluated(rows: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Rows ``(n, places, 4)`` of ``(n, du+1, dv+1, 4)`` at u and v ``(n, places)``."""
+def _evaluated(rows: np.ndarray, twists: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Rows ``(n, places, 4)`` of ``(n, du+1, dv+1, 4)`` and twists at u and v ``(n, places)``."""
     count, nu, nv, _ = rows.shape
     along = np.matmul(_bernstein(nu - 1, u), rows.reshape(count, nu, nv * 4)).reshape(count, -1, nv, 4)
-    return np.sum(_bernstein(nv - 1, v)[..., None] * along, axis=2)
+    found = np.sum(_bernstein(nv - 1, v)[..., None] * along, axis=2)
+    if twists.shape[1]:
+        found += np.matmul(np.stack(_turning(twists.shape[1], u, v), axis=2), twists)
+    return found
+
+
+def parts_of(patches: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Control points, and twists, of which only Gregory patches have any."""
+    if hasattr(patches, "twists"):
+        return np.asarray(patches.net), np.asarray(patches.twists)
+    return patches, np.zeros((len(patches), 0, 3))
+
+
+def _turning(slots: int, u: Any, v: Any) -> list[Any]:
+    """What half of f+ - f- of every corner adds to the patch: (s f+ + t f-)/(s + t) less the mean, times its weight."""
+
+    def part(s: Any, t: Any) -> Any:
+        whole = s + t
+        return s / np.where(whole == 0, 1, whole) - t / np.where(whole == 0, 1, whole)
+
+    a, b = 1 - u, 1 - v
+    weight = [9 * (x * y) * (1 - x) ** 2 * (1 - y) ** 2 / 2 for x, y in ((u, v), (a, v), (a, b), (u, b))]
+    found = [w * part(*own) for w, own in zip(weight, ((u, v), (v, a), (a, b), (b, u)), strict=True)]
+    if slots > len(found):
+        # of the triangle's shares at (0, 0), (0, 1) and the third corner
+        p, q = a * b, a * v
+        found += [6 * p * p * q * u * part(u, q), 6 * q * q * p * u * part(p, u)]
+    return found
 
 
 def _ratio(exact: Any, drawn: Any, half: Any, compared: int) -> np.ndarray:
@@ -285,6 +321,9 @@ def _worst_of_cells(
     places = [((line[:, None] + steps) / n).ravel() for line, n in zip(lines, cut, strict=True)]
     by_u, by_v = (_bernstein(rows.shape[2 + axis] - 1, t) for axis, t in enumerate(places))
     points = np.matmul(np.matmul(by_u, rows), by_v.T)
+    if screen.twists.shape[1]:
+        terms = np.stack(_turning(screen.twists.shape[1], places[0][:, None], places[1][None]))
+        points = points + np.einsum("skl,psr->rpkl", terms, screen.twists.astype(np.float64))
     points = points.reshape(4, len(pair), len(lines[0]), order + 1, len(lines[1]), order + 1).swapaxes(3, 4)
     corners = points[..., ::order, ::order].reshape(*points.shape[:4], 4)
     weights = np.zeros((4, len(samples)))
@@ -310,8 +349,8 @@ def _worst_of_triangles(screen: Screen, pair: int, parameters: np.ndarray, latti
     """The largest samples of one pair."""
     shares = np.concatenate([np.eye(3), lattice])
     where = np.einsum("sk,tkc->cts", shares, parameters)
-    rows = screen.rows[pair : pair + 1].astype(np.float64)
-    points = _evaluated(rows, where[0].reshape(1, -1), where[1].reshape(1, -1)).reshape(*where.shape[1:], 4)
+    rows, twists = (x[pair : pair + 1].astype(np.float64) for x in (screen.rows, screen.twists))
+    points = _evaluated(rows, twists, where[0].reshape(1, -1), where[1].reshape(1, -1)).reshape(*where.shape[1:], 4)
     points = np.moveaxis(points, 2, 0)
     half = screen.half[pair].astype(np.float64)
     ratio = _ratio(points[..., 3:], points[..., :3] @ lattice.T, half, screen.compared).ravel()
@@ -323,6 +362,7 @@ def _worst_of_triangles(screen: Screen, pair: int, parameters: np.ndarray, latti
 def _closer(screen: Screen, places: _Places) -> Found:
     """The largest ratio of each pair: every place is zoomed into, those near 1 in long double."""
     sizes = np.abs(screen.rows).max(axis=(1, 2), initial=0).astype(np.float64)
+    sizes += np.abs(screen.twists).sum(axis=1).astype(np.float64)
     step = max(1, 2**21 // (len(_CLOSE) * screen.rows[0].size))
     blocks = []
     for at in range(0, len(places.pair), step):
@@ -348,11 +388,12 @@ def _zoomed(screen: Screen, places: _Places, dtype: Any, size: float, zooms: int
         return places
     rows, half = screen.rows[places.pair].astype(dtype), screen.half[places.pair].astype(dtype).T[..., None]
     triangle, share = places.triangle.astype(dtype), places.share.astype(dtype)
-    ends = _evaluated(rows, triangle[..., 0], triangle[..., 1])
+    twists = screen.twists[places.pair].astype(dtype)
+    ends = _evaluated(rows, twists, triangle[..., 0], triangle[..., 1])
 
     def sampled(trial: np.ndarray) -> np.ndarray:
         where = np.matmul(trial, triangle)
-        points, drawn = _evaluated(rows, where[..., 0], where[..., 1]), np.matmul(trial, ends)
+        points, drawn = _evaluated(rows, twists, where[..., 0], where[..., 1]), np.matmul(trial, ends)
         return _ratio(np.moveaxis(points, 2, 0), np.moveaxis(drawn, 2, 0), half, screen.compared)
 
     ratio = sampled(share[:, None])[:, 0]
@@ -373,13 +414,13 @@ def _noise(screen: Screen, places: _Places, sizes: np.ndarray) -> np.ndarray:
     half = screen.half[places.pair, : screen.compared].astype(np.float64)
     terms = np.max(sizes[places.pair, : screen.compared] + half * sizes[places.pair, 3:], axis=1)
     rows = screen.rows[places.pair].astype(np.float64)
-    ends = _evaluated(rows, places.triangle[..., 0], places.triangle[..., 1])
+    ends = _evaluated(rows, screen.twists[places.pair].astype(np.float64), *np.moveaxis(places.triangle, 2, 0))
     w = np.maximum(np.sum(places.share * ends[..., 3], axis=1), 1e-300)
     return _TERMS * float(np.finfo(np.float64).eps) * terms / w
 
 
 def _with_all_digits(
-    patch: np.ndarray,
+    patch: Any,
     look: Look,
     tolerances: tuple[float, float | None],
     triangle: np.ndarray,
@@ -389,15 +430,18 @@ def _with_all_digits(
     matrix, half = _camera(look, _exact, _MP.tan)
     pixels, depth = tolerances
     scale = _exact([pixels, pixels, 1.0 if depth is None else depth])
-    points = _exact(patch)
-    weight = points[..., 3:] if patch.shape[2] == 4 else _exact(np.ones((*patch.shape[:2], 1)))
+    net, twists = (x[0] for x in parts_of(patch))
+    points = _exact(net)
+    weight = points[..., 3:] if net.shape[2] == 4 else _exact(np.ones((*net.shape[:2], 1)))
     rows = np.concatenate([points[..., :3] - weight * _exact(look.eye), weight], axis=2) @ matrix.T
     rows[..., :3] = rows[..., :3] / scale
+    turned = _exact(twists) @ matrix[:, :3].T
+    turned[..., :3] = turned[..., :3] / scale
     parts = _exact(np.maximum((1 - inwards) * share + inwards / 3, 0.0))
     parts = parts / sum(parts)
-    corners = [_point(rows, *_exact(corner)) for corner in triangle]
+    corners = [_point(rows, turned, *_exact(corner)) for corner in triangle]
     drawn = parts @ np.stack(corners)
-    exact = _point(rows, *(parts @ _exact(triangle)))
+    exact = _point(rows, turned, *(parts @ _exact(triangle)))
     half = half / scale
     if not drawn[3] > 0 or any(abs(drawn[k]) > half[k] * drawn[3] for k in range(3)):
         return _UNSEEN
@@ -407,9 +451,13 @@ def _with_all_digits(
     return float(max(abs(exact[k] / exact[3] - drawn[k] / drawn[3]) for k in range(compared)))
 
 
-def _point(rows: np.ndarray, u: Any, v: Any) -> np.ndarray:
+def _point(rows: np.ndarray, twists: np.ndarray, u: Any, v: Any) -> np.ndarray:
     by_u, by_v = (
         np.array([comb(d, j) * t**j * (1 - t) ** (d - j) for j in range(d + 1)], object)
         for d, t in ((rows.shape[0] - 1, u), (rows.shape[1] - 1, v))
     )
-    return np.tensordot(by_v, np.tensordot(by_u, rows, (0, 0)), (0, 0))
+    found = np.tensordot(by_v, np.tensordot(by_u, rows, (0, 0)), (0, 0))
+    if not len(twists):
+        return found
+    terms = [x.item() if isinstance(x, np.ndarray) else x for x in _turning(len(twists), u, v)]
+    return found + np.array(terms, object) @ twists

@@ -7,8 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import comb
+from typing import Any
 
 import numpy as np
+
+from slefejax import GregoryPatches
+from slefejax.geometry.gregory import QUAD_TWISTS, TRIANGLE_TWISTS
 
 DEGREES = ((1, 1), (2, 2), (3, 3), (2, 3), (3, 1), (4, 4), (5, 2), (6, 6), (2, 8), (9, 9), (12, 1), (12, 12))
 WEIGHT_DECADES = 12.0
@@ -117,24 +121,39 @@ SHAPES: dict[str, Shape] = {
     "random": _random,
 }
 RATIONAL = "rational"
-FAMILIES = (*SHAPES, RATIONAL)
+GREGORY = {"gregory": 3, "gregory-triangle": 4}  # degrees of their nets
+FAMILIES = (*SHAPES, RATIONAL, *GREGORY)
 
 
 def nets(
     family: str, rng: Rng, degrees: tuple[int, int], relief: np.ndarray, weight_decades: float = WEIGHT_DECADES
-) -> np.ndarray:
+) -> Any:
     """A net for every relief, ``(n, du+1, dv+1, 3)``; 4 at the end of ``rational`` ones, (w x, w y, w z, w).
 
-    Half of them are turned any way. Rational ones take their shapes from the other families; their weights spread over
-    up to half a decade, or of all of them over up to so many.
+    Half of them are turned any way. Rational ones and Gregory patches take their shapes from the other families;
+    weights spread over up to half a decade, or of all of them over up to so many; twists are of any size.
     """
-    names = rng.choice(list(SHAPES), len(relief)) if family == RATIONAL else [family] * len(relief)
+    names = [family] * len(relief) if family in SHAPES else rng.choice(list(SHAPES), len(relief))
+    if family in GREGORY:
+        degrees = GREGORY[family], GREGORY[family]
     made = np.stack([_placed(SHAPES[name], rng, degrees, size) for name, size in zip(names, relief, strict=True)])
+    if family in GREGORY:
+        return GregoryPatches(made, _twists(family, rng, relief))
     if family != RATIONAL:
         return made
     decades = rng.uniform(0.0, 0.5 if rng.uniform() < _TAME else weight_decades, len(made))
     weights = 10.0 ** (rng.uniform(-0.5, 0.5, made.shape[:3]) * decades[:, None, None])
     return np.concatenate([made * weights[..., None], weights[..., None]], axis=3)
+
+
+def _twists(family: str, rng: Rng, relief: np.ndarray) -> np.ndarray:
+    """Some of them 0, others alone; triangles have two, and none of quads."""
+    slots = QUAD_TWISTS if family == "gregory" else QUAD_TWISTS + TRIANGLE_TWISTS
+    sizes = relief[:, None] * 10.0 ** rng.uniform(-1.0, 0.7, (len(relief), slots))
+    sizes *= rng.integers(0, 2, sizes.shape)
+    if family != "gregory":
+        sizes[:, :QUAD_TWISTS] = 0.0
+    return sizes[..., None] * rng.normal(size=(len(relief), slots, 3))
 
 
 def _placed(shape: Shape, rng: Rng, degrees: tuple[int, int], relief: float) -> Net:
@@ -144,7 +163,9 @@ def _placed(shape: Shape, rng: Rng, degrees: tuple[int, int], relief: float) -> 
     return net
 
 
-def moved(patches: np.ndarray, scale: float, offset: np.ndarray) -> np.ndarray:
+def moved(patches: Any, scale: float, offset: np.ndarray) -> Any:
     """Patches with another size, and then elsewhere."""
+    if isinstance(patches, GregoryPatches):
+        return GregoryPatches(moved(patches.net, scale, offset), patches.twists * scale)
     weight = patches[..., 3:] if patches.shape[-1] == 4 else 1.0
     return np.concatenate([patches[..., :3] * scale + offset * weight, patches[..., 3:]], axis=-1)

@@ -23,6 +23,7 @@ import numpy as np
 eye, target, up, extent, near, far, perspective, width, height = {look}
 tolerance, depth_tolerance = {tolerances}
 patches = np.array({patches}).reshape({shape})
+twists = np.array({twists})  # of Gregory patches
 which = {which}  # the patch that is judged
 triangle, share = np.array({triangle}), np.array({share})  # where the error was largest, in the domain
 {claimed}
@@ -35,9 +36,10 @@ def predicted():
     jax.config.update("jax_enable_x64", {double})
     make = sj.Camera.look_at if perspective else sj.Camera.orthographic
     view = sj.View(make(eye, target, up, extent, near, far), width, height)
-    return sj.tessellation_factors(
-        patches.astype("{dtype}"), view, tolerance=tolerance, depth_tolerance=depth_tolerance{options}
-    )
+    given = patches.astype("{dtype}")
+    if twists.size:
+        given = sj.GregoryPatches(given, twists.astype("{dtype}"))
+    return sj.tessellation_factors(given, view, tolerance=tolerance, depth_tolerance=depth_tolerance{options})
 
 
 def screen():
@@ -48,23 +50,39 @@ def screen():
     right = np.cross(forward, long(up))
     right /= np.sqrt(right @ right)
     n, f, e = long([near, far, extent])
-    control = long(patches[which])
-    w = control[..., 3:] if control.shape[-1] == 4 else np.ones_like(control[..., :1])
-    x, y, z = ((control[..., :3] - w * long(eye)) @ np.stack([right, np.cross(right, forward), -forward]).T).T
-    w = w[..., 0].T
-    if perspective:
-        pixels = height / 2 / np.tan(e * np.longdouble("3.14159265358979323846264338327950288") / 360)
-        rows = pixels * x, pixels * y, (f + n) / (n - f) / 2 * z + f * n / (n - f) * w, -z
-    else:
-        rows = height / e * x, height / e * y, z / (n - f) + (f + n) / (n - f) / 2 * w, w
     scale = long([tolerance, tolerance, depth_tolerance or 1.0])
-    rows = [row.T / s for row, s in zip(rows, [*scale, 1])]
+
+    def rows_of(control, w):
+        x, y, z = ((control - w * long(eye)) @ np.stack([right, np.cross(right, forward), -forward]).T).T
+        w = w[..., 0].T
+        if perspective:
+            pixels = height / 2 / np.tan(e * np.longdouble("3.14159265358979323846264338327950288") / 360)
+            rows = pixels * x, pixels * y, (f + n) / (n - f) / 2 * z + f * n / (n - f) * w, -z
+        else:
+            rows = height / e * x, height / e * y, z / (n - f) + (f + n) / (n - f) / 2 * w, w
+        return [row.T / s for row, s in zip(rows, [*scale, 1])]
+
+    control, turned = long(patches[which]), long(twists[which] if twists.size else np.zeros((0, 3)))
+    w = control[..., 3:] if control.shape[-1] == 4 else np.ones_like(control[..., :1])
+    rows = list(zip(rows_of(control[..., :3], w), rows_of(turned, np.zeros_like(turned[..., :1]))))
     return rows, long([width / 2, height / 2, 0.5]) / scale
+
+
+def turning(u, v, slots):
+    def part(s, t):
+        return (s - t) / np.where(s + t == 0, 1, s + t) / 2
+
+    a, b = 1 - u, 1 - v
+    corners = (u, v), (v, a), (a, b), (b, u)
+    found = [9 * s * t * ((1 - s) * (1 - t)) ** 2 * part(s, t) for s, t in corners]
+    p, q = a * b, a * v
+    return [*found, 12 * p * p * q * u * part(u, q), 12 * q * q * p * u * part(p, u)][:slots]
 
 
 def at(rows, u, v):
     along = lambda t, d: np.stack([comb(d, j) * t**j * (1 - t) ** (d - j) for j in range(d + 1)])
-    return [np.sum(along(u, r.shape[0] - 1) * (r @ along(v, r.shape[1] - 1)), axis=0) for r in rows]
+    found = [np.sum(along(u, r.shape[0] - 1) * (r @ along(v, r.shape[1] - 1)), axis=0) for r, _ in rows]
+    return [x + sum(d * b for d, b in zip(t, turning(u, v, len(t)))) for x, (_, t) in zip(found, rows)]
 
 
 def ratio(corners, shares):
@@ -146,6 +164,7 @@ def script(found: Row) -> str:
         tolerances=tuple(found["tolerances"]),
         patches=pformat(patches.ravel().tolist(), compact=True, width=118),
         shape=patches.shape,
+        twists=found.get("twists", []),
         which=which,
         triangle=found["triangle"],
         share=found["share"],

@@ -94,7 +94,7 @@ SETTINGS = {
 
 
 def predicted(
-    patches: np.ndarray,
+    patches: Any,
     look: Look,
     setting: Setting,
     tolerance: float,
@@ -122,7 +122,7 @@ def predicted(
         return None
 
 
-def _traced(patches: np.ndarray, look: Look, setting: Setting, tolerance: float) -> Factors | None:
+def _traced(patches: Any, look: Look, setting: Setting, tolerance: float) -> Factors | None:
     """Real factors from inside of jit, where what is refused elsewhere is not a number."""
     numbers = [np.asarray(x, np.float64) for x in (*look[:6], *look[7:])]
     factor = _program(look.perspective, Certified(**setting.options))(patches, numbers, tolerance)
