@@ -88,12 +88,13 @@ class LoadOptions:
     """How a file becomes patches."""
 
     scheme: str = "auto"
-    """acc (quads), pinched (quads and triangles), bspline (regular meshes only), catmull-clark+acc (any polygons); auto
-    takes the first of acc, pinched, catmull-clark+acc that can do with the faces. Or one's own: my_module:MyScheme."""
+    """acc (quads), pinched (quads and triangles), bspline (regular meshes only), catmull-clark+acc (any polygons), gregory
+    and catmull-clark+gregory (smooth across edges); auto takes the first of acc, pinched, catmull-clark+acc that can do
+    with the faces. Or one's own: my_module:MyScheme."""
     alpha: float = ALPHA
     """Of triangles: the weight of a neighbour."""
     steps: int | None = None
-    """Of catmull-clark+acc: steps of subdivision, each with four times as many patches; 1 if not given."""
+    """Of catmull-clark+acc and +gregory: steps of subdivision, each with four times as many patches; 1 if not given."""
     group: tuple[str, ...] = ()
     """Of .obj files: only faces of these groups or objects."""
     drop_defects: bool = False
