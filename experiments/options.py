@@ -16,6 +16,7 @@ import tyro
 from slefejax.conversion.acc import ALPHA
 from slefejax.errors import InputError
 from slefejax.framing import clipping_planes
+from slefejax.geometry.gregory import GregoryPatches
 from slefejax.geometry.view import Camera, View, bounding_sphere
 from slefejax.model.rig import Deformation
 from slefejax.model.skinning import dual_quaternion_blend, linear_blend
@@ -88,7 +89,7 @@ class LoadOptions:
     """How a file becomes patches."""
 
     scheme: str = "auto"
-    """acc (quads), pinched (quads and triangles), bspline (regular meshes only), catmull-clark+acc (any polygons), gregory
+    """acc (quads), pinched (quads and triangles), bspline (regular meshes), catmull-clark+acc (any polygons), gregory
     and catmull-clark+gregory (smooth across edges); auto takes the first of acc, pinched, catmull-clark+acc that can do
     with the faces. Or one's own: my_module:MyScheme."""
     alpha: float = ALPHA
@@ -124,6 +125,16 @@ class LoadOptions:
             "weld": self.weld,
             **own,
         }
+
+    def bezier(self, scene: str) -> Scene:
+        """The same of Bézier patches. Raises InputError for others, too."""
+        found = self.load(scene)
+        if isinstance(found.control, GregoryPatches):
+            raise InputError(
+                f"what is compared here is for Bézier patches: choose --scheme acc or pinched for {found.name}",
+                options=("scheme",),
+            )
+        return found
 
     def load(self, scene: str) -> Scene:
         """The scene of that name or file, with these options, in the pose that they ask for."""

@@ -301,6 +301,15 @@ def on_host(patches: Any) -> Any:
     return patches.on_host() if hasattr(patches, "twists") else np.asarray(patches)
 
 
+def on_device(patches: Any) -> Any:
+    """Patches of any kind as JAX's.
+
+    >>> on_device(np.zeros((1, 2, 2, 3))).shape
+    (1, 2, 2, 3)
+    """
+    return jax.tree.map(jnp.asarray, patches) if hasattr(patches, "twists") else jnp.asarray(patches)
+
+
 def check_weights(patches: Any) -> None:
     """InputError unless all weights of rational patches are positive and finite; the others pass.
 

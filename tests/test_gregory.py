@@ -27,11 +27,13 @@ from slefejax.conversion.acc import Neighbourhood, acc_patches
 from slefejax.conversion.catmull_clark import CORNER, refine
 from slefejax.conversion.gregory import Points, eigenvalue
 from slefejax.conversion.gregory_nets import gregory_patches
+from slefejax.experiments.cli import main
 from slefejax.geometry.evaluate import evaluate
 from slefejax.geometry.gregory import Twisted, twist_basis, twist_slopes
 from slefejax.model.mesh import Mesh
 from slefejax.tessellator.edges import Sides
 from tests.meshes import disc, grid
+from tests.test_cli import run_json
 
 VALENCES = (3, 4, 5, 6, 7, 9, 16, 32, 64)
 
@@ -306,3 +308,28 @@ def test_what_gregory_patches_are_not_for(tmp_path):
         np.asarray(scene.patches())
     fixed = tessellation_factors(scene.patches(), view, "fixed", setting=3.0)
     assert set(np.asarray(fixed.factor)) == {3.0}
+
+
+@pytest.mark.parametrize("command", ["certify", "error-time", "fit-km", "optimise"])
+def test_commands_that_compare_with_rules_for_bezier_patches(command, capsys, tmp_path):
+    assert main([command, "walker", "--scheme", "gregory", "--out", str(tmp_path)]) == 2
+    assert "is for Bézier patches: choose --scheme acc or pinched for walker" in capsys.readouterr().err
+
+
+@pytest.mark.gl
+def test_a_sweep(capsys, tmp_path):
+    """Smooth patches with certified levels: no pixel is wrong by more than half of one."""
+    asked = (
+        "minimality",
+        "walker",
+        "--scheme",
+        "gregory",
+        "--scales",
+        "1",
+        "--size",
+        "320x200",
+        "--out",
+        str(tmp_path),
+    )
+    found = run_json(capsys, *asked)
+    assert found["rows"][0]["max_error_px"] <= 0.501

@@ -8,11 +8,11 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import tyro
 
 from slefejax import Scene, View, distance_for_budget, sampled_error, tolerance_for_budget
+from slefejax.arguments import on_device
 from slefejax.errors import InputError
 from slefejax.experiments.options import LoadOptions, OutputOptions, PredictionOptions, ViewOptions, camera_record
 from slefejax.experiments.report import Report, progress
@@ -93,7 +93,7 @@ class BudgetOfScene:
     def _curve(self, scene: Scene, view: View, rows: list[Row]) -> tuple[np.ndarray, np.ndarray]:
         """Triangles without rounding, against tolerance or distance, around what was found."""
         request = self.prediction.request(scene).real
-        patches, sphere = jnp.asarray(scene.patches()), bounding_sphere(scene.points())
+        patches, sphere = on_device(scene.patches()), bounding_sphere(scene.points())
         name = "tolerance_px" if self.by == "tolerance" else "distance"
         middle = float(np.exp(np.mean(np.log([row[name] for row in rows]))))
         spread = max(1.0, float(np.ptp(np.log([row[name] for row in rows]))))

@@ -62,7 +62,7 @@ class Optimise:
         check_count("--seed", self.seed, 0)
         if not (np.isfinite(self.within) and self.within > 0):
             raise InputError(f"--within is a share of the radius, a positive number, not {self.within}")
-        scene = self.loading.load(self.scene)
+        scene = self.loading.bezier(self.scene)
         _, radius = bounding_sphere(scene.points())
         views = cameras_around(scene, *parse_size(self.size), self.cameras, self.seed)
         inputs = {"patches": digest(scene.patches().tobytes())}

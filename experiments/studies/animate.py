@@ -6,11 +6,13 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from typing import Any, Literal
 
+import jax
 import numpy as np
 import tyro
 from matplotlib.image import imread
 
-from slefejax import Scene, Session, View
+from slefejax import GregoryPatches, Scene, Session, View
+from slefejax.arguments import on_host
 from slefejax.errors import InputError
 from slefejax.experiments.options import LoadOptions, OutputOptions, PredictionOptions, ViewOptions, camera_record
 from slefejax.experiments.report import Report, progress
@@ -118,8 +120,9 @@ def _reached(scene: Scene, frames: Frames, loading: LoadOptions) -> Scene:
     if not frames.moves:
         return scene
     chosen = [frames.poses[k] for k in np.unique(np.linspace(0, len(frames.poses) - 1, _LOOKED_AT).astype(int))]
-    control = [np.asarray(scene.pose(pose, loading.deformation())) for pose in chosen]
-    return replace(scene, control=np.concatenate(control), faces=None, kinds=None, rig=None, conversion=None)
+    control = [on_host(scene.pose(pose, loading.deformation())) for pose in chosen]
+    whole = jax.tree.map(lambda *parts: np.concatenate(parts), *control)
+    return replace(scene, control=whole, faces=None, kinds=None, rig=None, conversion=None)
 
 
 _CHANGES = ("changed_share", "pop_p99_px", "pop_max_px")
@@ -195,7 +198,8 @@ class _Film:
             return []
         own = self.options.prediction.arguments()
         estimate: Options = {**own, "method": Slefe()}
-        every: list[Options] = [own] if isinstance(self.session.request.method, Slefe) else [own, estimate]
+        alone = isinstance(self.session.request.method, Slefe) or isinstance(self.scene.control, GregoryPatches)
+        every: list[Options] = [own] if alone else [own, estimate]
         rows = []
         with progress("modes", len(MODES) * len(every)) as show:
             for arguments in every:

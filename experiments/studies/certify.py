@@ -63,7 +63,7 @@ class Certify:
         if not self.scenes:
             raise InputError("name at least one scene: a file, teapot, twisted-quad or steep-patch")
         check_count("--tiles", self.tiles)
-        scenes = [self.loading.load(name) for name in self.scenes]
+        scenes = [self.loading.bezier(name) for name in self.scenes]
         views = [self.camera.view(scene) for scene in scenes]
         device = open_device()
         arguments = {**asdict(self), "output": None, "camera": [camera_record(view) for view in views]}

@@ -107,7 +107,7 @@ class ErrorTime:
         self.values()
         if not self.scenes:
             raise InputError("name at least one scene: a file, or teapot")
-        scenes = [self.loading.load(name) for name in self.scenes]
+        scenes = [self.loading.bezier(name) for name in self.scenes]
         device = open_device()
         inputs = {"scenes": [digest(s.patches().tobytes()) for s in scenes], "opengl": device.renderer}
         views = [

@@ -84,7 +84,7 @@ class FitKm:
     def run(self) -> Report:
         """Measure, fit, compare, draw."""
         self._check()
-        scenes = _named([self.loading.load(name) for name in self.scenes])
+        scenes = _named([self.loading.bezier(name) for name in self.scenes])
         inputs = {"scenes": [digest(scene.patches().tobytes()) for scene in scenes]}
         with Run("fit-km", {**asdict(self), "output": None}, self.output.out, inputs) as run:
             found = self._measure(run, scenes)

@@ -92,7 +92,7 @@ class Levels:
     milliseconds : of the parts of the prediction, by the names of columns
     """
 
-    patches: Float[np.ndarray, "patches nu nv dim"]
+    patches: Any  # (patches, nu, nv, dim), or GregoryPatches
     factor: Float[np.ndarray, "patches"]
     inner: Real[np.ndarray, "patches 2"]
     outer: Real[np.ndarray, "patches 4"]

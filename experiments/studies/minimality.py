@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import tyro
 
-from slefejax import Factors, Scene, View, pack
+from slefejax import Factors, GregoryPatches, Scene, View, pack
 from slefejax.errors import InputError
 from slefejax.experiments.options import (
     LoadOptions,
@@ -58,7 +58,8 @@ class Minimality:
         request = self.prediction.request(scene)
         factors, predict_ms = _predict(scene, view, request)
         largest = factors.scaled(max(self.scales)).levels
-        beside = None if isinstance(request.method, Slefe) else _estimate(scene, view, request)
+        alone = isinstance(request.method, Slefe) or isinstance(scene.patches(), GregoryPatches)
+        beside = None if alone else _estimate(scene, view, request)
         device = open_device()
         check_levels(largest)
         arguments = {**asdict(self), "output": None, "camera": camera_record(view)}

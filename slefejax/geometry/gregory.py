@@ -97,6 +97,10 @@ class GregoryPatches:
         """As NumPy arrays."""
         return GregoryPatches(np.asarray(self.net), np.asarray(self.twists))
 
+    def tobytes(self) -> bytes:
+        """All numbers, as of an array."""
+        return np.asarray(self.net).tobytes() + np.asarray(self.twists).tobytes()
+
     def tree_flatten(self) -> tuple[Any, None]:
         """For JAX."""
         return (self.net, self.twists), None

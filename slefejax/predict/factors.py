@@ -76,8 +76,7 @@ class Factors:
             return self.known
         if self.packed is None:
             raise InputError(_TRACED)
-        patches = on_host(self.packed.patches())
-        return shared_edges(patches.net if isinstance(patches, GregoryPatches) else patches)
+        return shared_edges(on_host(self.packed.patches()))
 
     @cached_property
     def inner(self) -> Int[np.ndarray, "patches 2"]:

@@ -18,7 +18,7 @@ import numpy as np
 from jax import Array
 from jax.core import Tracer
 
-from slefejax.arguments import Patches, is_whole
+from slefejax.arguments import Patches, is_whole, on_device, on_host
 from slefejax.errors import InputError
 from slefejax.framing import clipping_planes
 from slefejax.geometry.packed import Packed, pack
@@ -101,8 +101,9 @@ def distance_for_budget(
     packed, request, edges = _checked(patches, view, triangles, options, edge_numbers)
     if not view.camera.perspective:
         raise InputError("without perspective the distance of the camera changes nothing: ask for the tolerance")
-    given = np.asarray(packed.patches())
-    points = given[..., :3] / (given[..., 3:] if packed.dimension == 4 else 1.0)
+    given = on_host(packed.patches())
+    net = getattr(given, "net", given)
+    points = net[..., :3] / (net[..., 3:] if packed.dimension == 4 else 1.0)
     sphere = bounding_sphere(points.reshape(-1, 3))
     tolerance = float(request.tolerances.pixels)
 
@@ -155,7 +156,7 @@ def _checked(
         raise InputError(f"method {request.name!r} knows no tolerance: change its setting")
     if not np.any(np.asarray(predicted(request.real, packed, view).factor)):
         raise InputError("no patch is visible from this camera: there is nothing to spend triangles on")
-    edges = shared_edges(np.asarray(packed.patches())) if edge_numbers is None else edge_numbers
+    edges = shared_edges(on_host(packed.patches())) if edge_numbers is None else edge_numbers
     return packed, request, check_edge_numbers(edges, len(packed))
 
 
@@ -164,7 +165,7 @@ def _tolerance_root(patches: Patches, view: View, wanted: int, request: Request)
         return jnp.log(counted(request.at(jnp.exp(log)), patches, view) / (wanted + 0.5))
 
     middle = float(np.log(0.5))
-    return _root(excess, middle - _REACH, middle + _REACH, jnp.asarray(patches))
+    return _root(excess, middle - _REACH, middle + _REACH, on_device(patches))
 
 
 def _distance_root(patches: Patches, view: View, sphere: Any, wanted: int, request: Request) -> float:
@@ -172,7 +173,7 @@ def _distance_root(patches: Patches, view: View, sphere: Any, wanted: int, reque
         seen = counted(request, patches, moved(view, sphere, jnp.exp(log)))
         return jnp.log(jnp.maximum(seen, 1e-3) / (wanted + 0.5))
 
-    points = jnp.asarray(patches)
+    points = on_device(patches)
     at = jax.jit(excess)
     too_many = float(at(0.0, points)) > 0
     before = 0.0

@@ -40,14 +40,17 @@ EDGES = ("u=0", "v=0", "u=1", "v=1")
 _ROUNDING = 8  # eps: points of both sides and of the raised one are rounded once each, and in each step of raising
 
 
-def edge_points(patches: Shaped[np.ndarray, "patches nu nv dim"]) -> list[np.ndarray]:
+def edge_points(patches: Any) -> list[np.ndarray]:
     """Control points of the four edges of every patch, each ``(patches, points, dim)``, in OpenGL's order.
+
+    Those of Gregory patches are their nets'.
 
     >>> flat = np.array([[[0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0]]], float)[None]
     >>> [edge[0].tolist() for edge in edge_points(flat)][0]
     [[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
     """
-    return [patches[:, 0], patches[:, :, 0], patches[:, -1], patches[:, :, -1]]
+    net = getattr(patches, "net", patches)
+    return [net[:, 0], net[:, :, 0], net[:, -1], net[:, :, -1]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,12 +74,13 @@ class Sides:
     last: Float[np.ndarray, "patches 4"]
 
     @staticmethod
-    def of(patches: Shaped[np.ndarray, "patches nu nv dim"]) -> Sides:
+    def of(patches: Any) -> Sides:
         """Whole sides that are one curve (module docstring).
 
-        patches : control points, or numbers of control points ``(patches, nu, nv, 1)``, which are compared as they are
+        patches : control points ``(patches, nu, nv, dim)`` or ``GregoryPatches``, or numbers of control points
+                  ``(patches, nu, nv, 1)``, which are compared as they are
         """
-        patches = np.asarray(patches)
+        patches = np.asarray(getattr(patches, "net", patches))
         curve, turned = _equal_curves(patches)
         if patches.shape[1] != patches.shape[2] and patches.shape[3] > 1:
             with np.errstate(invalid="ignore", over="ignore"):  # points that are not finite are no curve's
@@ -97,10 +101,10 @@ class Sides:
         return number_by_first_use(part.ravel() * self.owner.size + self.owner.ravel()).reshape(-1, 4)
 
 
-def shared_edges(patches: Shaped[np.ndarray, "patches nu nv dim"]) -> Int[np.ndarray, "patches 4"]:
+def shared_edges(patches: Any) -> Int[np.ndarray, "patches 4"]:
     """A number for every edge of every patch, equal exactly where edges are shared (``Sides``).
 
-    patches : control points, or numbers of control points ``(patches, nu, nv, 1)``
+    patches : control points ``(patches, nu, nv, dim)`` or ``GregoryPatches``, or numbers of control points
 
     >>> quad = np.array([[[0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0]]], float)
     >>> shared_edges(np.stack([quad, quad + [1, 0, 0]])).tolist()
@@ -132,7 +136,7 @@ def _keys(points: np.ndarray, longest: int) -> tuple[np.ndarray, np.ndarray]:
     return np.pad(rows, ((0, 0), (0, missing)), constant_values=np.inf), swap[:, 0]
 
 
-def collapsed(patches: Shaped[np.ndarray, "patches nu nv dim"]) -> Bool[np.ndarray, "patches 4"]:
+def collapsed(patches: Any) -> Bool[np.ndarray, "patches 4"]:
     """Which edges are points: all of their control points are equal bit for bit.
 
     >>> collapsed(np.zeros((1, 4, 4, 3))).tolist()
