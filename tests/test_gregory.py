@@ -316,6 +316,7 @@ def test_commands_that_compare_with_rules_for_bezier_patches(command, capsys, tm
     assert "is for Bézier patches: choose --scheme acc or pinched for walker" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.gl
 def test_a_sweep(capsys, tmp_path):
     """Smooth patches with certified levels: no pixel is wrong by more than half of one."""

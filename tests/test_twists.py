@@ -204,12 +204,17 @@ def random_patches(rng, count, degree):
 @pytest.mark.parametrize(
     ("degree", "options"),
     [
-        (3, {}),
-        (4, {"verify": True}),
+        (3, {"verify": True}),
         *(
             pytest.param(degree, options, marks=pytest.mark.slow)
             for degree in (3, 4)
-            for options in ({"tiles": 1}, {"tiles": 3}, {"depth_tolerance": 1e-4}, {"verify": True, "tolerance": 0.1})
+            for options in (
+                {},
+                {"tiles": 1},
+                {"tiles": 3},
+                {"depth_tolerance": 1e-4},
+                {"verify": True, "tolerance": 0.1},
+            )
         ),
     ],
 )
