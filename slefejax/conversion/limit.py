@@ -22,12 +22,13 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from slefejax.conversion.acc import Neighbourhood, acc_patches
+from slefejax.conversion.acc import Neighbourhood, acc_patches, pinched_last
 from slefejax.conversion.catmull_clark import CORNER, CREASE, SMOOTH, refine
 from slefejax.geometry.nearest import Surfaces
 from slefejax.model.mesh import Mesh
 
 LEVELS = 10
+_DENSEST = 16  # samples along the side of a whole face, and of its quarters half of them, and again
 _MOST_OPEN = 100_000  # faces that one more step would divide
 # of a quad's corners: where they are, and how their half-edge and the one before run from there, as columns
 _CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float)
@@ -55,10 +56,10 @@ class LimitSurface:
     @cached_property
     def surfaces(self) -> Surfaces:
         """All of it, to look for nearest points."""
-        return Surfaces(self.net)
+        return Surfaces(self.net, np.maximum(_DENSEST >> np.minimum(self.level, 2), _DENSEST >> 2))
 
     @cached_property
-    def _places(self) -> tuple[np.ndarray, np.ndarray]:
+    def _keys(self) -> tuple[np.ndarray, np.ndarray]:
         """Sorted keys of all patches, and whose they are."""
         middle = self.origin + 0.5 * self.frame.sum(axis=2)
         keys = _key(self.face, self.level, middle)
@@ -74,16 +75,23 @@ class LimitSurface:
         >>> limit_surface(square).at(np.array([0]), np.array([[0.5, 0.25]])).tolist()
         [[1.5, 0.65625, 0.0]]
         """
-        keys, order = self._places
+        return self.surfaces.at(*self.places(face, parameters))
+
+    def places(
+        self, face: Int[np.ndarray, "points"], parameters: Float[np.ndarray, "points 2"]
+    ) -> tuple[Int[np.ndarray, "points"], Float[np.ndarray, "points 2"]]:
+        """The patches at the natural parameters of quads, and the parameters there; -1 for faces that are no quads."""
+        keys, order = self._keys
         patch = np.full(len(face), -1)
+        inside = np.clip(parameters, 0.0, 1.0 - 1e-12)
         for level in range(int(self.level.max(initial=0)) + 1):
-            wanted = _key(face, np.full(len(face), level), np.clip(parameters, 0.0, 1.0 - 1e-12))
+            wanted = _key(face, np.full(len(face), level), inside)
             place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
             patch = np.where(keys[place] == wanted, order[place], patch)
         local = parameters - self.origin[patch]
         # frames are turns times a power of 1/2
         scale = 4.0 ** self.level[patch].astype(float)
-        return self.surfaces.at(patch, scale[:, None] * np.einsum("pij,pi->pj", self.frame[patch], local))
+        return patch, scale[:, None] * np.einsum("pij,pi->pj", self.frame[patch], local)
 
 
 def _key(
@@ -195,3 +203,32 @@ def regular_faces(mesh: Mesh) -> Bool[np.ndarray, "faces"]:
     sound |= ~fans.closed & (fans.size == np.where(kind == CREASE, 2, np.where(kind == CORNER, 1, 0)))
     bad = odd[mesh.corners] | ~sound[fans.fan]
     return np.bincount(mesh.face, bad, minlength=mesh.face_count) == 0
+
+
+def smooth_sides(mesh: Mesh) -> Int[np.ndarray, "edges 2 2"]:
+    """Where patches should have one tangent plane: (patch, side) on both sides of every such edge.
+
+    Sides are u=0, v=0, u=1, v=1. Of a manifold mesh of quads and triangles, its patches one a face in their order:
+    edges that have two faces, are not sharp, and end at no vertex that stays where it is.
+
+    >>> cells = Mesh.of([[x, y, 0] for x in range(4) for y in range(4)],
+    ...                 [(4 * x + y, 4 * x + y + 4, 4 * x + y + 5, 4 * x + y + 1) for x in range(3) for y in range(3)])
+    >>> len(smooth_sides(cells)), smooth_sides(cells)[0].tolist()
+    (12, [[0, 2], [3, 0]])
+    """
+    around = Neighbourhood.of(mesh)
+    side = np.zeros(len(mesh.corners), np.int64)
+    quads, triangles = (np.flatnonzero(mesh.sizes == n) for n in (4, 3))
+    for k, name in enumerate((1, 2, 3, 0)):
+        side[mesh.offsets[:-1][quads] + k] = name
+    for corner, name in zip(pinched_last(mesh, triangles), (0, 1, 3), strict=True):
+        side[corner] = name
+    corner_rule = around.rule == CORNER
+    own = np.flatnonzero(
+        (mesh.twin > np.arange(len(mesh.twin)))
+        & ~around.sharp[mesh.edge]
+        & ~corner_rule[mesh.corners]
+        & ~corner_rule[mesh.ends]
+    )
+    both = np.stack([own, mesh.twin[own]], axis=1)
+    return np.stack([mesh.face[both], side[both]], axis=2)
