@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import jax
@@ -14,6 +13,7 @@ from slefejax.arguments import check_patches, on_host
 from slefejax.geometry.evaluate import as_control, evaluate
 
 _PLACES = 33  # along an edge
+_AT_A_TIME = 8192  # edges
 _FLAT = 1e-9  # sine of an angle between tangents: below, there is no tangent plane
 
 
@@ -32,27 +32,44 @@ def normal_jumps(patches: Any, sides: Int[np.ndarray, "edges 2 2"]) -> Float[np.
     [45.0]
     """
     control = on_host(check_patches(patches, dims=(3,), gregory=True))
-    with jax.enable_x64(True):
-        found = [_side(control[sides[:, k, 0]], sides[:, k, 1]) for k in (0, 1)] if len(sides) else []
-    if not found:
+    if not len(sides):
         return np.zeros(0)
-    (one, n), (other, m) = found
+    if len(sides) > _AT_A_TIME:
+        parts = range(0, len(sides), _AT_A_TIME)
+        return np.concatenate([normal_jumps(patches, sides[k : k + _AT_A_TIME]) for k in parts])
+    (one, n), (other, m) = (_side(control[sides[:, k, 0]], sides[:, k, 1]) for k in (0, 1))
     there, back = (np.abs(one - other[:, ::step]).max(axis=(1, 2)) for step in (1, -1))
     m = np.where((there <= back)[:, None, None], m, m[:, ::-1])
     angle = np.arctan2(np.linalg.norm(np.cross(n, m), axis=-1), np.abs(np.sum(n * m, axis=-1)))
     return np.degrees(angle.max(axis=1))
 
 
-def _side(patches: Any, side: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points and unit normals ``(edges, places, 3)`` along a side of each patch."""
+def points_and_normals(patches: Any, parameters: Float[np.ndarray, "patches places 2"]) -> tuple[Any, Any]:
+    """Points and unit normals ``(patches, places, 3)`` of polynomial patches, each at parameters of its own; by NumPy.
+
+    Normals are 0 where a patch has no tangent plane.
+
+    >>> flat = np.array([[[0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0]]], float)[None]
+    >>> points_and_normals(flat, np.array([[[0.5, 0.25]]]))[1].tolist()
+    [[[0.0, 0.0, 1.0]]]
+    """
+    control = jax.tree.map(
+        lambda x: np.moveaxis(np.asarray(x, np.float64), 0, -1)[..., None], as_control(on_host(patches))
+    )
+    with jax.enable_x64(True):
+        found = _normals_jit(control, *np.moveaxis(np.asarray(parameters, np.float64), -1, 0))
+    return tuple(np.moveaxis(np.asarray(x), 0, -1) for x in found)
+
+
+def _side(patches: Any, side: np.ndarray) -> tuple[Any, Any]:
+    """Points and normals along a side of each patch."""
     t = (np.arange(_PLACES) + 0.5) / _PLACES
     u = np.where((side % 2 == 1)[:, None], t, np.where((side == 0)[:, None], 0.0, 1.0))
     v = np.where((side % 2 == 0)[:, None], t, np.where((side == 1)[:, None], 0.0, 1.0))
-    control = jax.tree.map(lambda x: np.moveaxis(np.asarray(x, np.float64), 0, -1)[..., None], as_control(patches))
-    return tuple(np.moveaxis(np.asarray(x), 0, -1) for x in _normals_jit(control, u, v))  # type: ignore[return-value]
+    return points_and_normals(patches, np.stack([u, v], axis=-1))
 
 
-@partial(jax.jit)
+@jax.jit
 def _normals_jit(control: Any, u: Any, v: Any) -> tuple[Any, Any]:
     point, along_u = jax.jvp(lambda x: evaluate(control, x, v), (u,), (jnp.ones_like(u),))
     _, along_v = jax.jvp(lambda x: evaluate(control, u, x), (v,), (jnp.ones_like(v),))

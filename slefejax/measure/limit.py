@@ -28,6 +28,8 @@ class LimitDistance:
     bound   : a bound of ``largest``, None where none is known
     pixels  : the largest on the screen, max(|dx|, |dy|), of points in the view volume; None without a view
     patches : ``(patches,)``, the largest of each;  bounds : ``(patches,)``, NaN where none is known
+    odd     : ``(odd,)``, which patches are not the limit surface itself
+    grid    : ``(odd, 17, 17)``, their distances at equal steps of u and v
     """
 
     largest: float
@@ -36,6 +38,8 @@ class LimitDistance:
     pixels: float | None
     patches: Float[np.ndarray, "patches"]
     bounds: Float[np.ndarray, "patches"]
+    odd: Int[np.ndarray, "odd"]
+    grid: Float[np.ndarray, "odd 17 17"]
 
 
 def limit_distance(scene: Any, view: View | None = None) -> LimitDistance:
@@ -66,19 +70,25 @@ def limit_distance(scene: Any, view: View | None = None) -> LimitDistance:
         raise InputError(f"{scene.name} has control points that are not finite numbers")
     places = _Places(patches, conversion, view)
     odd = np.flatnonzero(places.odd)
-    largest, pixels, squares = np.zeros((3, len(patches)))
+    largest, pixels = np.zeros((2, len(patches)))
+    grids = [np.zeros((0, _PLACES, _PLACES))]
     for k in range(0, len(odd), _AT_A_TIME):
         own = odd[k : k + _AT_A_TIME]
-        largest[own], pixels[own], squares[own] = places.sampled(own)
+        largest[own], pixels[own], grid = places.sampled(own)
+        grids.append(grid)
+    grid = np.concatenate(grids)
+    share = np.array([0.5, *[1.0] * (_PLACES - 2), 0.5]) / (_PLACES - 1)
     bounds = np.where(places.odd, np.nan, 0.0)
     known = bool(np.isfinite(bounds).all())
     return LimitDistance(
         float(largest.max()),
-        float(np.sqrt(squares.mean())),
+        float(np.sqrt(np.einsum("kij,i,j->", grid**2, share, share) / len(patches))),
         float(bounds.max()) if known else None,
         None if view is None else float(pixels.max()),
         largest,
         bounds,
+        odd,
+        grid,
     )
 
 
@@ -96,16 +106,12 @@ class _Places:
         self.odd = ~self._limit.regular if self._own_faces else np.ones(len(patches), bool)
 
     def sampled(self, which: Int[np.ndarray, "some"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of some patches the largest distance, in space and on the screen, and the mean square."""
+        """Of some patches the largest distance, in space and on the screen, and all of them in space."""
         t = np.linspace(0.0, 1.0, _PLACES)
         grid = np.broadcast_to(np.stack(np.meshgrid(t, t, indexing="ij"), axis=-1), (len(which), _PLACES, _PLACES, 2))
         far = self._distances(which, grid.reshape(len(which), -1, 2))
-        weight = np.ones(_PLACES)
-        weight[[0, -1]] = 0.5
-        weights = np.outer(weight, weight).ravel() / (_PLACES - 1) ** 2
-        squares = far[0] ** 2 @ weights
         largest = [self._zoomed(which, own, k) for k, own in enumerate(far)]
-        return largest[0], largest[1], squares
+        return largest[0], largest[1], far[0].reshape(-1, _PLACES, _PLACES)
 
     def _zoomed(self, which: np.ndarray, far: np.ndarray, kind: int) -> np.ndarray:
         """The largest of each, looked at closely where it is among the largest of all."""
