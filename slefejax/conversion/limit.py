@@ -31,8 +31,8 @@ LEVELS = 10
 _DENSEST = 16  # samples along the side of a whole face, and of its quarters half of them, and again
 _MOST_OPEN = 100_000  # faces that one more step would divide
 # of a quad's corners: where they are, and how their half-edge and the one before run from there, as columns
-_CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float)
-_FRAMES = np.array([[[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]]], float)
+CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float)
+FRAMES = np.array([[[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]]], float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,8 +161,8 @@ class _Part:
         finer, _, parents = refine(smaller)
         old = np.flatnonzero(kept)[parents]
         corner = (np.arange(len(smaller.corners)) - smaller.offsets[parents]) % 4
-        origin = self.origin[old] + np.einsum("fij,fj->fi", self.frame[old], _CORNERS[corner])
-        frame = 0.5 * self.frame[old] @ _FRAMES[corner]
+        origin = self.origin[old] + np.einsum("fij,fj->fi", self.frame[old], CORNERS[corner])
+        frame = 0.5 * self.frame[old] @ FRAMES[corner]
         return _Part(finer, rest[old], self.root[old], origin, frame)
 
 
@@ -190,19 +190,49 @@ def regular_faces(mesh: Mesh) -> Bool[np.ndarray, "faces"]:
     [True]
     """
     around = Neighbourhood.of(mesh)
-    fans, rule = around.fans, around.rule
+    bad = ~_plain(around) | ~_sound(around)
+    return np.bincount(mesh.face, bad, minlength=mesh.face_count) == 0
+
+
+def irregular_corner(mesh: Mesh) -> tuple[Int[np.ndarray, "faces"], Int[np.ndarray, "faces"]]:
+    """Of faces of which one corner is irregular, a smooth inner vertex: which, 0 to 3, and its valence; else -1 and 0.
+
+    >>> cells = Mesh.of([[x, y, 0] for x in range(4) for y in range(4)],
+    ...                 [(4 * x + y, 4 * x + y + 4, 4 * x + y + 5, 4 * x + y + 1) for x in range(3) for y in range(3)])
+    >>> irregular_corner(cells)[0].max()
+    -1
+    """
+    around = Neighbourhood.of(mesh)
+    fans, bad = around.fans, ~_plain(around) | ~_sound(around)
+    inner = _plain(around) & (fans.closed & (around.rule[fans.vertex] == SMOOTH))[fans.fan]
+    count = np.bincount(mesh.face, bad, minlength=mesh.face_count)
+    own = np.flatnonzero(bad & inner & (count[mesh.face] == 1))
+    which, valence = np.full(mesh.face_count, -1), np.zeros(mesh.face_count, np.int64)
+    which[mesh.face[own]] = own - mesh.offsets[mesh.face[own]]
+    valence[mesh.face[own]] = fans.size[fans.fan[own]]
+    return which, valence
+
+
+def _plain(around: Neighbourhood) -> Bool[np.ndarray, "corners"]:
+    """Corners at vertices with quads only, of no sharpness that fades and at the end of no crease."""
+    mesh = around.mesh
     odd = np.zeros(mesh.vertex_count, bool)
     odd[mesh.corners[mesh.sizes[mesh.face] != 4]] = True
     odd |= (mesh.vertex_sharpness > 0) & np.isfinite(mesh.vertex_sharpness)
     fading = ~mesh.boundary & (mesh.edge_sharpness > 0) & np.isfinite(mesh.edge_sharpness)
     odd[mesh.edge_vertices[fading]] = True
     ends = mesh.edge_vertices[around.sharp]
-    odd[ends[rule[ends] == SMOOTH]] = True  # where a crease runs out
-    kind = rule[fans.vertex]
+    odd[ends[around.rule[ends] == SMOOTH]] = True
+    return ~odd[mesh.corners]
+
+
+def _sound(around: Neighbourhood) -> Bool[np.ndarray, "corners"]:
+    """Whether the fan of every corner is a B-spline's: four faces, two at creases and boundaries, one at corners."""
+    fans = around.fans
+    kind = around.rule[fans.vertex]
     sound = (kind == SMOOTH) & fans.closed & (fans.size == 4)
     sound |= ~fans.closed & (fans.size == np.where(kind == CREASE, 2, np.where(kind == CORNER, 1, 0)))
-    bad = odd[mesh.corners] | ~sound[fans.fan]
-    return np.bincount(mesh.face, bad, minlength=mesh.face_count) == 0
+    return sound[fans.fan]
 
 
 def smooth_sides(mesh: Mesh) -> Int[np.ndarray, "edges 2 2"]:

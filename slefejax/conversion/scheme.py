@@ -7,13 +7,14 @@ from functools import cached_property
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from slefejax.arguments import check_choice, check_positive, imported, is_whole, no_such
 from slefejax.conversion.acc import ALPHA, Neighbourhood, acc_patches
 from slefejax.conversion.catmull_clark import CORNER, refine
 from slefejax.conversion.gregory_nets import gregory_patches
-from slefejax.conversion.limit import LimitSurface, limit_surface, smooth_sides
+from slefejax.conversion.limit import LimitSurface, irregular_corner, limit_surface, smooth_sides
+from slefejax.conversion.natural import natural_grids
 from slefejax.conversion.patchwork import Patchwork
 from slefejax.conversion.tangents import tangent_tables
 from slefejax.errors import InputError
@@ -57,6 +58,15 @@ class Conversion:
     def own_faces(self) -> bool:
         """Whether every face of ``finer`` has a patch, in their order: those of a scheme of one's own may not."""
         return self.scheme in SCHEMES
+
+    @cached_property
+    def one_irregular(self) -> Bool[np.ndarray, "faces"]:
+        """Faces of ``finer`` with one irregular corner, a smooth inner vertex: those that ``natural`` takes."""
+        return (irregular_corner(self.finer)[0] >= 0) & self.own_faces
+
+    def natural(self, faces: Int[np.ndarray, "some"], places: int) -> tuple[Any, Any]:
+        """Parameters of patches at equal steps, and those of the limit surface (``slefejax.conversion.natural``)."""
+        return natural_grids(self.finer, self.patchwork.twists is not None, faces, places)
 
     @cached_property
     def smooth_sides(self) -> Int[np.ndarray, "edges 2 2"]:

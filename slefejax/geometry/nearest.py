@@ -104,17 +104,20 @@ class Surfaces:
         tree, patches, parameters = self._samples
         sample = tree.query(points)[1]
         best = _Best.of(patches[sample], self._feet(points, patches[sample], parameters[sample]))
+        open_ = ~best.sound
         if start is not None:
             known = np.flatnonzero(start[0] >= 0)
             if known.size:
-                best.take(known, start[0][known], self._feet(points[known], start[0][known], start[1][known]))
-        # where the foot would leave its patch, another one may have it: those of the next samples, in turn
-        held = np.flatnonzero(~best.sound)
+                found = self._feet(points[known], start[0][known], start[1][known])
+                best.take(known, start[0][known], found)
+                open_[known] |= ~found[2]
+        # where the foot would leave its patch, another one may have it: those of the next samples
+        held = np.flatnonzero(open_)
         count = min(_CANDIDATES, len(patches))
         samples = tree.query(points[held], k=count)[1].reshape(len(held), count)
         candidates = patches[samples]
         for k in range(1, count):
-            own = np.flatnonzero(~best.sound[held] & (candidates[:, k, None] != candidates[:, :k]).all(axis=1))
+            own = np.flatnonzero((candidates[:, k, None] != candidates[:, :k]).all(axis=1))
             if own.size:
                 place = samples[own, k]
                 best.take(held[own], patches[place], self._feet(points[held[own]], patches[place], parameters[place]))
