@@ -174,6 +174,8 @@ def _shown(name: str, value: Any) -> str:
         return "-"
     if "share" in name:
         return f"{100 * value:.2f} %"
+    if name.endswith(("_percent", "_deg")) and isinstance(value, float):
+        return f"{value:.3g}"
     if name.endswith("_error") and isinstance(value, float):
         return f"{value:.1e}" if value else "0"
     if isinstance(value, float):

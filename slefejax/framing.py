@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from slefejax.arguments import Number
+from slefejax.arguments import Number, Patches
 from slefejax.errors import InputError
 from slefejax.geometry.evaluate import evaluate_patches
 from slefejax.geometry.view import Camera, Vector, turned_up
@@ -38,7 +38,7 @@ def clipping_planes(sphere: tuple[Any, Any], own: Camera, eye: Any) -> tuple[Any
 
 
 def frame_share(
-    patches: Float[np.ndarray, "patches nu nv dim"],
+    patches: Patches,
     share: Number = PAPERS_SHARE,
     aspect: Number = 1.6,
     up: Vector = (0.0, 0.0, 1.0),
@@ -110,7 +110,7 @@ def _coverage(local: np.ndarray, half: np.ndarray, distance: float) -> float:
     return float(np.asarray(picture).mean())
 
 
-def _quads(patches: np.ndarray) -> Float[np.ndarray, "quads 4 3"]:
+def _quads(patches: Patches) -> Float[np.ndarray, "quads 4 3"]:
     """The patches cut into a few quads each."""
     pieces = int(np.clip(np.sqrt(_CELLS / len(patches)), 1, 8))
     t = np.linspace(0.0, 1.0, pieces + 1)

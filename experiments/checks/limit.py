@@ -127,15 +127,17 @@ class Limit:
         write_limit_figure(run.file("limit.png"), Pictures(pictures, said, scenes[0].name))
         stripes = [*_reflections(scenes)]
         if stripes:
-            said = [*(f"{title}: normals jump by up to {largest_jump(own):.2g}°" for title, own in zip(titles, scenes))]
-            write_reflection_figure(
-                run.file("reflections.png"), Pictures(stripes, [*said, "limit surface"], scenes[0].name)
-            )
+            jumps = [largest_jump(scene) for scene in scenes]
+            said = [f"{title}: normals jump by up to {jump:.2g}°" for title, jump in zip(titles, jumps, strict=True)]
+            shown = Pictures(stripes, [*said, "limit surface"], scenes[0].name)
+            write_reflection_figure(run.file("reflections.png"), shown)
 
 
 def _check(scene: Scene) -> None:
     if scene.conversion is None:
-        raise InputError(f"{scene.name} has no control mesh: only patches of one have a limit surface to be compared with")
+        raise InputError(
+            f"{scene.name} has no control mesh: only patches of one have a limit surface to be compared with"
+        )
 
 
 def _without_steps(scene: Scene) -> tuple[str, ...]:

@@ -18,7 +18,7 @@ Painter = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
 def splatted(patches: Any, view: View, paint: Painter) -> np.ndarray:
-    """``(height, width)``, row 0 at the top: what ``paint`` says of the nearest point of every pixel, NaN where none is.
+    """``(height, width)``, row 0 at the top: what ``paint`` says of the nearest point of every pixel, or NaN.
 
     paint : from numbers of patches ``(some,)``, parameters ``(places, 2)``, points and normals ``(some, places, 3)``
             to values ``(some, places)``

@@ -36,7 +36,7 @@ def write_limit_figure(path: Path, pictures: Pictures) -> None:
             own.imshow(exact, cmap="gray", vmin=0.0, vmax=1.0)
         bar = figure.colorbar(shown, ax=axes, shrink=0.8, extend="min")
         bar.set_label("distance, % of the diagonal\n(grey: exact)")
-        figure.suptitle(f"{pictures.scene}: distance from the Catmull–Clark limit surface")
+        figure.suptitle(f"{pictures.scene}: distance from the Catmull-Clark limit surface")
         save(figure, path)
 
 

@@ -41,8 +41,8 @@ class LimitSurface:
 
     net     : ``(patches, 4, 4, 3)``, bicubic
     face    : ``(patches,)``, the face of the mesh that each lies in, level : how often it was divided
-    origin  : ``(patches, 2)``, frame ``(patches, 2, 2)``: (u, v) of the face = origin + frame (s, t) of the patch, where
-              the face is a quad, u from its first vertex to its second
+    origin  : ``(patches, 2)``, frame ``(patches, 2, 2)``: (u, v) of the face = origin + frame (s, t) of the patch, if
+              the face is a quad; u runs from its first vertex to its second
     regular : ``(faces,)``, which faces are one patch, exactly
     """
 

@@ -1,7 +1,7 @@
 """Which natural parameters of the limit surface belong to the parameters of a patch at an irregular vertex.
 
 Around a vertex of valence n there is a net of the plane that a step of subdivision only shrinks: the subdominant
-eigenvectors are its coordinates. Of it both the patch and the limit surface are maps chi from the square to the plane, so
+eigenvectors are its coordinates. There both the patch and the limit surface are maps chi from the square to the plane:
 
     phi = chi_limit^-1 o chi_patch
 
@@ -110,11 +110,7 @@ def _step(mesh: Mesh, places: np.ndarray, number: dict[Any, int], valence: int) 
     rows = []
     for k, i, j in places.tolist():
         ends = sorted(
-            {
-                number[_canonical((k, a, b), valence)]
-                for a in {i // 2, (i + 1) // 2}
-                for b in {j // 2, (j + 1) // 2}
-            }
+            {number[_canonical((k, a, b), valence)] for a in {i // 2, (i + 1) // 2} for b in {j // 2, (j + 1) // 2}}
         )
         if len(ends) == 1:
             rows.append(ends[0])

@@ -63,7 +63,7 @@ class Surfaces:
     def _samples(self) -> tuple[Any, np.ndarray, np.ndarray]:
         """The tree, and the patch and the parameters of every sample."""
         with one_at_a_time:
-            from scipy.spatial import cKDTree  # slow to import
+            from scipy.spatial import KDTree  # slow to import
 
         patch, parameters = [], []
         for places in np.unique(self._places):
@@ -73,7 +73,7 @@ class Surfaces:
             patch.append(np.repeat(own, len(grid)))
             parameters.append(np.tile(grid, (len(own), 1)))
         patch, parameters = np.concatenate(patch), np.concatenate(parameters)
-        return cKDTree(self.at(patch, parameters)), patch, parameters
+        return KDTree(self.at(patch, parameters)), patch, parameters
 
     def at(
         self, patch: Int[np.ndarray, "points"], parameters: Float[np.ndarray, "points 2"]

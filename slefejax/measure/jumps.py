@@ -58,7 +58,8 @@ def points_and_normals(patches: Any, parameters: Float[np.ndarray, "patches plac
     )
     with jax.enable_x64(True):
         found = _normals_jit(control, *np.moveaxis(np.asarray(parameters, np.float64), -1, 0))
-    return tuple(np.moveaxis(np.asarray(x), 0, -1) for x in found)
+    points, normals = (np.moveaxis(np.asarray(x), 0, -1) for x in found)
+    return points, normals
 
 
 def _side(patches: Any, side: np.ndarray) -> tuple[Any, Any]:

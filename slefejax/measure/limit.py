@@ -128,7 +128,7 @@ class _Places:
             patch, natural = self._conversion.natural(own, _BOUND_PLACES)
             points = np.asarray(evaluate_patches(self._patches[own], patch.reshape(len(own), -1, 2)))
             exact = self._limit.at(np.repeat(own, _BOUND_PLACES**2), natural.reshape(-1, 2))
-            missed = points.reshape(patch.shape[:-1] + (3,)) - exact.reshape(patch.shape[:-1] + (3,))
+            missed = (points.reshape(-1, 3) - exact).reshape(*patch.shape[:-1], 3)
             changes = [np.linalg.norm(np.diff(missed, axis=axis), axis=-1).max(axis=(1, 2)) for axis in (1, 2)]
             found[own] = np.linalg.norm(missed, axis=-1).max(axis=(1, 2)) + np.maximum(*changes)
         return found
