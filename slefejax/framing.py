@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from slefejax.arguments import Number, Patches
+from slefejax.arguments import Number, Patches, check_patches
 from slefejax.errors import InputError
 from slefejax.geometry.evaluate import evaluate_patches
 from slefejax.geometry.view import Camera, Vector, turned_up
@@ -57,7 +57,7 @@ def frame_share(
         raise InputError(f"a picture needs a positive width over height and a field of view, not {aspect} and {fov_y}")
     if not (np.isfinite(up).all() and np.linalg.norm(up) > 0):
         raise InputError(f"up must be a direction, not {tuple(up)}", options=("up",))
-    quads = _quads(patches)
+    quads = _quads(check_patches(patches, gregory=True))
     flat = quads.reshape(-1, 3)
     centre = (flat.min(axis=0) + flat.max(axis=0)) / 2.0
     size = float(np.abs(flat - centre).max()) or 1.0
@@ -110,7 +110,7 @@ def _coverage(local: np.ndarray, half: np.ndarray, distance: float) -> float:
     return float(np.asarray(picture).mean())
 
 
-def _quads(patches: Patches) -> Float[np.ndarray, "quads 4 3"]:
+def _quads(patches: Any) -> Float[np.ndarray, "quads 4 3"]:
     """The patches cut into a few quads each."""
     pieces = int(np.clip(np.sqrt(_CELLS / len(patches)), 1, 8))
     t = np.linspace(0.0, 1.0, pieces + 1)

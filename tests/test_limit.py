@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from slefejax import Camera, InputError, Mesh, Scene, View, limit_distance, load
+from slefejax import Camera, InputError, Scene, View, limit_distance, load
 from slefejax.conversion.acc import Neighbourhood
 from slefejax.conversion.catmull_clark import refine
 from slefejax.conversion.gregory import Points
@@ -26,7 +27,7 @@ SCHEMES = ("acc", "gregory")
 VIEW = View(Camera.look_at((3.0, -4.0, 2.5), (0.5, 0.5, 0.5)), 640, 400)
 
 
-def scene_of(mesh, scheme="acc", **options):
+def scene_of(mesh, scheme: Any = "acc", **options):
     conversion = convert(mesh, scheme, **options)
     patches = conversion.patchwork.on_host(mesh.vertices)
     return Scene("mesh", patches, conversion=conversion, kinds=conversion.patchwork.kinds)
@@ -211,7 +212,7 @@ def test_bad_input(teapot):
     with pytest.raises(InputError, match=r"teapot has no control mesh: only patches of one have a limit surface"):
         limit_distance(teapot)
     with pytest.raises(InputError, match=r"the view must be a slefejax\.View .* not str"):
-        limit_distance(load("walker"), "front")
+        limit_distance(load("walker"), "front")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="no control mesh"):
         limit_distance("teapot")
 
@@ -270,7 +271,9 @@ PUBLISHED = {  # per cent of the diagonal: root mean squares
 @pytest.mark.parametrize(("name", "scheme"), PUBLISHED, ids=str)
 def test_distances_agree_with_those_found_otherwise(models, name, scheme):
     """Limit points of a mesh after steps of subdivision, and their distance from planes that touch patches."""
-    mesh = smooth(load(models / f"{name}.obj").conversion.mesh)
+    conversion = load(models / f"{name}.obj").conversion
+    assert conversion is not None
+    mesh = smooth(conversion.mesh)
     found = limit_distance(scene_of(mesh, scheme))
     assert 100.0 * found.rms / diagonal(mesh) == pytest.approx(PUBLISHED[name, scheme], rel=0.05)
 
@@ -295,6 +298,7 @@ def test_gregory_patches_are_smoother_and_not_reliably_nearer(models):
         scenes = [load(models / f"{name}.obj", scheme="catmull-clark+" + scheme, steps=1) for scheme in SCHEMES]
         acc, gregory = map(limit_distance, scenes)
         nearer.append(gregory.largest < acc.largest)
-        assert normal_jumps(scenes[1].patches(), scenes[1].conversion.smooth_sides).max() < 1e-5
+        conversion = scenes[1].conversion
+        assert conversion is not None
+        assert normal_jumps(scenes[1].patches(), conversion.smooth_sides).max() < 1e-5
     assert len(set(nearer)) == 2
-    assert isinstance(scenes[0].conversion.mesh, Mesh)
