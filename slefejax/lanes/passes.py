@@ -145,8 +145,7 @@ def _split(chunks: Any) -> list[Any]:
 
     A number of chunks that cannot be shared evenly is worked on by fewer cores.
     """
-    several = type(chunks) is tuple  # and not Parts, or the net and the twists of Gregory patches
-    component = chunks if several else (chunks,)
+    component = chunks if isinstance(chunks, tuple) and not isinstance(chunks, Parts) else (chunks,)
     done = [len(part.each) for part in component if isinstance(part, Parts)]
     leaves = [leaf for leaf in jax.tree.leaves(component) if leaf.ndim]
     if done:
@@ -160,16 +159,15 @@ def _split(chunks: Any) -> list[Any]:
     if count == 1 and not done:
         return [chunks]
     split = list(zip(*(_shared(part, count) for part in component), strict=True))
-    return split if several else [part for (part,) in split]
+    return split if isinstance(chunks, tuple) and not isinstance(chunks, Parts) else [part for (part,) in split]
 
 
 def _shared(part: Any, count: int) -> list[Any]:
     if isinstance(part, Parts):
         return list(part.each)
-    if part is None:
-        return [None] * count
     leaves, tree = jax.tree.flatten(part)
-    return [tree.unflatten(own) for own in zip(*(np.split(np.asarray(leaf), count) for leaf in leaves), strict=True)]
+    pieces = [np.split(np.asarray(leaf), count) for leaf in leaves]
+    return [tree.unflatten(own) for own in zip(*pieces, strict=True)] if leaves else [part] * count
 
 
 def _on_cpu(leaf: Any) -> bool:
