@@ -186,8 +186,8 @@ def _unbounded(rows: list[Row]) -> tuple[str, ...]:
     if not without:
         return ()
     return (
-        f"{without} of {len(rows)} rows have no bound: none is known at boundaries, creases, triangles, and faces with"
-        " several irregular vertices",
+        f"{without} of {len(rows)} rows have no bound: none is known at irregular boundaries and creases, beside"
+        " triangles, at valence 2, and for faces with several irregular vertices",
     )
 
 

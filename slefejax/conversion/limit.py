@@ -197,6 +197,8 @@ def regular_faces(mesh: Mesh) -> Bool[np.ndarray, "faces"]:
 def irregular_corner(mesh: Mesh) -> tuple[Int[np.ndarray, "faces"], Int[np.ndarray, "faces"]]:
     """Of faces of which one corner is irregular, a smooth inner vertex: which, 0 to 3, and its valence; else -1 and 0.
 
+    Not of those at vertices of valence 2, where subdivision has no two tangents.
+
     >>> cells = Mesh.of([[x, y, 0] for x in range(4) for y in range(4)],
     ...                 [(4 * x + y, 4 * x + y + 4, 4 * x + y + 5, 4 * x + y + 1) for x in range(3) for y in range(3)])
     >>> set(irregular_corner(cells)[0].tolist())
@@ -206,7 +208,7 @@ def irregular_corner(mesh: Mesh) -> tuple[Int[np.ndarray, "faces"], Int[np.ndarr
     fans, bad = around.fans, ~_plain(around) | ~_sound(around)
     inner = _plain(around) & (fans.closed & (around.rule[fans.vertex] == SMOOTH))[fans.fan]
     count = np.bincount(mesh.face, bad, minlength=mesh.face_count)
-    own = np.flatnonzero(bad & inner & (count[mesh.face] == 1))
+    own = np.flatnonzero(bad & inner & (count[mesh.face] == 1) & (fans.size[fans.fan] > 2))
     which, valence = np.full(mesh.face_count, -1), np.zeros(mesh.face_count, np.int64)
     which[mesh.face[own]] = own - mesh.offsets[mesh.face[own]]
     valence[mesh.face[own]] = fans.size[fans.fan[own]]
