@@ -116,19 +116,19 @@ class Limit:
         """Of the first scene: where the distances are, and what smoothness looks like."""
         chosen = cases[:_SHOWN]
         scenes = [self._scene(case) for case in chosen]
-        titles = [case.scheme + (f", {case.depth} steps" if case.depth else "") for case in chosen]
+        titles = [case.scheme + f", {case.depth} steps" * (case.depth > 0) for case in chosen]
         found = [limit_distance(scene, view) for scene in scenes]
         diagonal = _diagonal(scenes[0])
         pictures = [_distances(scene, own, view, 100.0 / diagonal) for scene, own in zip(scenes, found, strict=True)]
         said = [
-            f"{title}\nlargest {100.0 * own.largest / diagonal:.3f} %, {own.pixels:.2f} px"
+            f"{title}\nlargest {100.0 * own.largest / diagonal:.3f} %, {own.pixels:.2f} px, hidden parts too"
             for title, own in zip(titles, found, strict=True)
         ]
         write_limit_figure(run.file("limit.png"), Pictures(pictures, said, scenes[0].name))
         stripes = [*_reflections(scenes)]
         if stripes:
             jumps = [largest_jump(scene) for scene in scenes]
-            said = [f"{title}: normals jump by up to {jump:.2g}°" for title, jump in zip(titles, jumps, strict=True)]
+            said = [f"{title}\nnormals jump by up to {jump:.2g}°" for title, jump in zip(titles, jumps, strict=True)]
             shown = Pictures(stripes, [*said, "limit surface"], scenes[0].name)
             write_reflection_figure(run.file("reflections.png"), shown)
 

@@ -36,7 +36,7 @@ def write_limit_figure(path: Path, pictures: Pictures) -> None:
             own.imshow(exact, cmap="gray", vmin=0.0, vmax=1.0)
         bar = figure.colorbar(shown, ax=axes, shrink=0.8, extend="min")
         bar.set_label("distance, % of the diagonal\n(grey: exact)")
-        figure.suptitle(f"{pictures.scene}: distance from the Catmull-Clark limit surface")
+        figure.suptitle(f"{pictures.scene}{_break(axes)}distance from the limit surface")
         save(figure, path)
 
 
@@ -46,8 +46,13 @@ def write_reflection_figure(path: Path, pictures: Pictures) -> None:
         axes, figure, crop = _panels(pictures)
         for own, picture in zip(axes, pictures.values, strict=True):
             own.imshow(np.where(np.isnan(picture), 1.0, 0.15 + 0.75 * picture)[crop], cmap="gray", vmin=0.0, vmax=1.0)
-        figure.suptitle(f"{pictures.scene}: stripes reflected by the patches' own normals, where acc's jump most")
+        figure.suptitle(f"{pictures.scene}{_break(axes)}stripes reflected where normals of the first patches jump most")
         save(figure, path)
+
+
+def _break(axes: Any) -> str:
+    """After the scene's name: a line of its own above a single panel, which is narrow."""
+    return ": " if len(axes) > 1 else "\n"
 
 
 def _panels(pictures: Pictures) -> tuple[Any, Any, Any]:
