@@ -244,11 +244,13 @@ def test_the_command_of_one_scheme(capsys, tmp_path):
 @pytest.mark.slow
 def test_the_command_of_all_schemes(capsys, tmp_path):
     write_cube(tmp_path / "box.obj")
-    result = run_json(capsys, "limit", "box.obj", "walker", *SMALL)
+    pyramid = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv .5 .5 1\nf 4 3 2 1\nf 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\n"
+    (tmp_path / "pyramid.obj").write_text(pyramid)
+    result = run_json(capsys, "limit", "box.obj", "pyramid.obj", *SMALL)
     made = [(row["scene"], row["scheme"], row["depth"]) for row in result["rows"]]
-    assert result["scene"] == ["box", "walker"]
+    assert result["scene"] == ["box", "pyramid"]
     assert made[:2] == [("box", "acc", 0), ("box", "gregory", 0)]
-    assert made[8] == ("walker", "pinched", 0)
+    assert made[8] == ("pyramid", "pinched", 0)
     assert [depth for *_, depth in made[2:8]] == [1, 1, 2, 2, 3, 3]
     for row in result["rows"]:
         bound = row["limit_bound_percent"]
