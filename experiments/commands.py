@@ -21,6 +21,7 @@ COMMANDS = {
     "optimise": "moves.optimise:Optimise",
     "error-time": "studies.error_time:ErrorTime",
     "scaling": "bench.scaling:Scaling",
+    "limit": "checks.limit:Limit",
     "tightness": "checks.tightness:Tightness",
     "stability": "checks.stability:Stability",
     "attack": "attack.attack:Attack",

@@ -74,6 +74,11 @@ HEADINGS = {
     "changed_share": "changed",
     "sum_of_factors": "factors",
     "frames_per_second": "frames/s",
+    "limit_max_percent": "limit: largest %",
+    "limit_rms_percent": "limit: rms %",
+    "limit_bound_percent": "limit: bound %",
+    "limit_max_px": "limit: px",
+    "normal_jump_deg": "normals jump",
     "without_ms": "without, ms",
     "with_ms": "with, ms",
 }
@@ -82,14 +87,14 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Report:
-    """The outcome of a command: the scene's name, the run's folder, and the table.
+    """The outcome of a command: the scene's name, or a list of names, the run's folder, and the table.
 
     status : the exit status;  extra : more entries of the JSON object
     more   : further tables, (title, rows), shown below the first
     shown  : of the first, the columns that the terminal shows; all if there are none
     """
 
-    scene: str | None
+    scene: str | list[str] | None
     out: Path | None
     rows: list[Row]
     title: str
@@ -169,6 +174,8 @@ def _shown(name: str, value: Any) -> str:
         return "-"
     if "share" in name:
         return f"{100 * value:.2f} %"
+    if name.endswith(("_percent", "_deg")) and isinstance(value, float):
+        return f"{value:.3g}"
     if name.endswith("_error") and isinstance(value, float):
         return f"{value:.1e}" if value else "0"
     if isinstance(value, float):

@@ -26,6 +26,7 @@ from slefejax.lanes.programs import keep_programs
 from slefejax.late import one_at_a_time
 from slefejax.measure.covering import covering_error
 from slefejax.measure.error import drawn_error, pixel_error
+from slefejax.measure.limit import LimitDistance, limit_distance
 from slefejax.measure.minimal import minimal_factors, minimal_pairs
 from slefejax.measure.supremum import sampled_error, worst_points
 from slefejax.measure.triangles import triangle_error
@@ -68,6 +69,7 @@ __all__ = [
     "Fit",
     "GregoryPatches",
     "InputError",
+    "LimitDistance",
     "Mesh",
     "NoOpenGLError",
     "Pose",
@@ -97,6 +99,7 @@ __all__ = [
     "fewer_triangles",
     "fit_km",
     "keep_programs",
+    "limit_distance",
     "linear_blend",
     "load",
     "measure_factors",

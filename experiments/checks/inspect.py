@@ -16,6 +16,7 @@ from slefejax.conversion.acc import acc_patches
 from slefejax.conversion.patchwork import KINDS
 from slefejax.errors import InputError, NoOpenGLError
 from slefejax.experiments.bench.savings import savings
+from slefejax.experiments.checks.limit import distance_row
 from slefejax.experiments.moves.outlines import outlines
 from slefejax.experiments.options import LoadOptions, OutputOptions, ViewOptions, camera_record, option_names
 from slefejax.experiments.report import Report
@@ -32,6 +33,7 @@ from slefejax.tessellator.coincidence import coincident_sides
 from slefejax.tessellator.edges import collapsed
 from slefejax.tessellator.levels import HIGHEST_LEVEL, triangle_counts
 
+_MOST_COMPARED = 20_000  # patches: of more it would take long to know how far the limit surface is
 _SAY_UP = (".usd", ".usda", ".usdc", ".usdz", ".gltf", ".glb", ".json", ".3dm")
 
 
@@ -61,6 +63,8 @@ class Inspect:
             return self._refused(content, row, error.typed(option_names(self)))
         row |= patch_row(scene) | rig_row(scene) | {"up": _up(scene, Path(self.scene))}
         view = self.camera.view(scene)
+        if scene.conversion is not None and len(scene.patches()) <= _MOST_COMPARED:
+            row |= distance_row(scene, view)
         arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
         with Run("inspect", arguments, self.output.out, {"scene": digest(scene.patches().tobytes())}) as run:
             notes = (*scene.notes, *(f"not needed: {what}" for what in scene.left_out()))

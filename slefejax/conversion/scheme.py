@@ -7,12 +7,14 @@ from functools import cached_property
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from slefejax.arguments import check_choice, check_positive, imported, is_whole, no_such
 from slefejax.conversion.acc import ALPHA, Neighbourhood, acc_patches
 from slefejax.conversion.catmull_clark import CORNER, refine
 from slefejax.conversion.gregory_nets import gregory_patches
+from slefejax.conversion.limit import LimitSurface, irregular_corner, limit_surface, smooth_sides
+from slefejax.conversion.natural import natural_grids
 from slefejax.conversion.patchwork import Patchwork
 from slefejax.conversion.tangents import tangent_tables
 from slefejax.errors import InputError
@@ -45,6 +47,31 @@ class Conversion:
         du, dv = tangent_tables(self.finer, self.patchwork)
         first = self.patchwork.first
         return (du, dv) if first is None else (du @ first, dv @ first)
+
+    @cached_property
+    def limit(self) -> LimitSurface:
+        """The limit surface that patches approximate, of the vertices of ``mesh``; its faces are those of ``finer``."""
+        first, vertices = self.patchwork.first, self.mesh.vertices
+        return limit_surface(replace(self.finer, vertices=vertices if first is None else first.on_host(vertices)))
+
+    @property
+    def own_faces(self) -> bool:
+        """Whether every face of ``finer`` has a patch, in their order: those of a scheme of one's own may not."""
+        return self.scheme in SCHEMES
+
+    @cached_property
+    def one_irregular(self) -> Bool[np.ndarray, "faces"]:
+        """Faces of ``finer`` with one irregular corner, a smooth inner vertex: those that ``natural`` takes."""
+        return (irregular_corner(self.finer)[0] >= 0) & self.own_faces
+
+    def natural(self, faces: Int[np.ndarray, "some"], places: int) -> tuple[Any, Any]:
+        """Parameters of patches at equal steps, and those of the limit surface (``slefejax.conversion.natural``)."""
+        return natural_grids(self.finer, self.patchwork.twists is not None, faces, places)
+
+    @cached_property
+    def smooth_sides(self) -> Int[np.ndarray, "edges 2 2"]:
+        """Which sides of patches should join smoothly (``slefejax.conversion.limit.smooth_sides``)."""
+        return smooth_sides(self.finer) if self.own_faces else np.zeros((0, 2, 2), np.int64)
 
     def tangents(self, vertices: Any) -> tuple[Any, Any]:
         """Tangent patches for shading, ``(patches, 3, 4, 3)`` along u and ``(patches, 4, 3, 3)`` along v, by JAX.
