@@ -24,6 +24,7 @@ _MOST_PATCHES = 200_000
 _SHOWN = 2  # schemes in the figure
 _STRIPES = 7.0  # periods of the reflected environment in half a turn
 _CLOSE = (420, 420)  # pixels of a picture of reflections
+_TRIED = 64  # edges, until one is not hidden by other parts of the scene
 _EDGES = 7.0  # lengths of the edge that is looked at, across such a picture
 
 
@@ -206,6 +207,17 @@ def _distances(scene: Scene, found: Any, view: View, unit: float) -> np.ndarray:
     return splatted(scene.patches(), view, paint)
 
 
+def _close_up(scene: Scene, side: np.ndarray) -> tuple[Camera, np.ndarray, np.ndarray]:
+    """A camera above the middle of a patch' side, the direction that is up in its picture, and the normal there."""
+    patch, number = side
+    middle = np.array([[[0.0, 0.5], [0.5, 0.0], [1.0, 0.5], [0.5, 1.0]][number]])
+    point, normal = (x[0, 0] for x in points_and_normals(scene.patches()[[patch]], middle[None]))
+    net = np.asarray(getattr(scene.patches(), "net", scene.patches()))[patch]
+    reach = _EDGES * np.linalg.norm(net[0, 0] - net[-1, -1]) / np.sqrt(2.0)
+    up = np.eye(3)[np.argmin(np.abs(normal))]
+    return Camera.look_at(point + 2.0 * reach * normal, point, up, 27.0, 0.1 * reach, 4.0 * reach), up, normal
+
+
 def _reflections(scenes: list[Scene]) -> Iterator[np.ndarray]:
     """Stripes that are reflected where normals of the first scene's patches jump most; the limit surface's at last."""
     first = scenes[0]
@@ -213,14 +225,16 @@ def _reflections(scenes: list[Scene]) -> Iterator[np.ndarray]:
     sides = first.conversion.smooth_sides
     if not len(sides):
         return
-    worst = sides[normal_jumps(first.patches(), sides).argmax(), 0]
-    middle = np.array([[[0.0, 0.5], [0.5, 0.0], [1.0, 0.5], [0.5, 1.0]][worst[1]]])
-    point, normal = (x[0, 0] for x in points_and_normals(first.patches()[worst[:1]], middle[None]))
-    net = np.asarray(first.patches().net if hasattr(first.patches(), "twists") else first.patches())[worst[0]]
-    reach = _EDGES * np.linalg.norm(net[0, 0] - net[-1, -1]) / np.sqrt(2.0)
-    up = np.eye(3)[np.argmin(np.abs(normal))]
-    camera = Camera.look_at(point + 2.0 * reach * normal, point, up, 27.0, 0.5 * reach, 4.0 * reach)
-    view = View(camera, *_CLOSE)
+    jumps = normal_jumps(first.patches(), sides)
+    for edge in np.argsort(-jumps)[:_TRIED]:
+        camera, up, normal = _close_up(first, sides[edge, 0])
+        view = View(camera, *_CLOSE)
+        # what is seen in the middle must be one of both patches
+        seen = splatted(first.patches(), view, lambda which, places, *_: np.repeat(which[:, None], len(places), axis=1))
+        if seen[_CLOSE[1] // 2, _CLOSE[0] // 2] in sides[edge, :, 0]:
+            break
+    else:
+        return
 
     def paint(_: np.ndarray, __: np.ndarray, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         towards = camera.eye - points

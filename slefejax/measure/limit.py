@@ -55,9 +55,12 @@ def limit_distance(scene: Any, view: View | None = None) -> LimitDistance:
 
     Raises InputError for a scene without a control mesh, control points that are not finite, and a view that is none.
 
-    >>> from slefejax import load
-    >>> found = limit_distance(load("walker"))
-    >>> 0.0 < found.rms < found.largest < 0.01
+    >>> from slefejax import Mesh, Scene, convert
+    >>> corners = [[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+    >>> faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    >>> conversion = convert(Mesh.of(corners, faces), "gregory")
+    >>> cube = Scene("cube", conversion.patchwork.on_host(corners), conversion=conversion)
+    >>> 0.0 < limit_distance(cube).rms < limit_distance(cube).largest < 0.01
     True
     """
     conversion = getattr(scene, "conversion", None)
