@@ -129,9 +129,10 @@ class Renderer:
         self.device.check_thread()
         control, to_world = _checked(patches)
         if (len(control), *_shape_of(control)) != (self._count, *self._shape):
+            twists = [f" and {n} twists" if n else "" for n in (self._shape[3], _shape_of(control)[3])]
             raise InputError(
-                f"patches that move keep their number, degree and kind: {self._sent.shape} and"
-                f" {self._shape[3]} twists, not {control.shape} and {_shape_of(control)[3]}"
+                f"patches that move keep their number and degree: {self._sent.shape}{twists[0]}, not"
+                f" {control.shape}{twists[1]}"
             )
         self._control.write(_control_records(control))
         self._drawn = None
@@ -330,7 +331,7 @@ class Renderer:
 
 def _checked(patches: Patches) -> tuple[Any, np.ndarray]:
     """Control points as they are sent, and the matrix that takes them back to the world."""
-    given = on_host(check_patches(patches, gregory=True))
+    given = on_host(check_patches(patches, gregory=True)).astype(np.float64)
     control = given.net if isinstance(given, GregoryPatches) else given
     everything = [control] if control is given else [control, given.twists]
     bad = np.flatnonzero(~np.all([np.isfinite(x).reshape(len(x), -1).all(axis=1) for x in everything], axis=0))
@@ -340,7 +341,7 @@ def _checked(patches: Patches) -> tuple[Any, np.ndarray]:
         raise InputError(f"control points must be below {LARGEST:g} to be drawn: scale the scene down")
     if len(control) >= _HIGHEST_PATCH_NUMBER:
         raise InputError(f"the G-buffer can number {_HIGHEST_PATCH_NUMBER - 1} patches, not {len(control)}")
-    sent, to_world = _in_unit_box(np.asarray(control, np.float64))
+    sent, to_world = _in_unit_box(control)
     if control is given:
         return sent, to_world
     return GregoryPatches(sent, (given.twists / to_world[0, 0]).astype(np.float32)), to_world

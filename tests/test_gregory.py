@@ -28,8 +28,8 @@ from slefejax.conversion.catmull_clark import CORNER, refine
 from slefejax.conversion.gregory import Points, eigenvalue
 from slefejax.conversion.gregory_nets import gregory_patches
 from slefejax.experiments.cli import main
-from slefejax.geometry.evaluate import evaluate
-from slefejax.geometry.gregory import Twisted, twist_basis, twist_slopes
+from slefejax.geometry.bezier import combine, derivative, evaluate_patch
+from slefejax.geometry.gregory import twist_basis, twist_slopes
 from slefejax.model.mesh import Mesh
 from slefejax.tessellator.edges import Sides
 from tests.meshes import disc, grid
@@ -60,17 +60,18 @@ def jumps(mesh, work):
     sides = Sides.of(work.net[..., None])
     t = np.linspace(0.03, 0.97, 13)
 
-    def normals(net, twists, places):
-        at = jax.vmap(jax.jacfwd(lambda p: evaluate(Twisted(net, twists), p[0], p[1])))(places)
-        normal = jnp.cross(at[..., 0], at[..., 1])
-        return normal / jnp.linalg.norm(normal, axis=-1, keepdims=True)
-
     own = np.where(sides.first[..., None] > 0, 1.0 - t, t)
     ends = np.broadcast_to(np.array([0.0, 0.0, 1.0, 1.0])[:, None], own.shape)
     along_v = (np.arange(4) % 2 == 0)[:, None]
     places = np.stack([np.where(along_v, ends, own), np.where(along_v, own, ends)], axis=-1)
-    found = jax.jit(jax.vmap(normals))(patches.net, patches.twists, places.reshape(len(own), -1, 2))
-    found = np.asarray(found).reshape(-1, len(t), 3)
+    u, v = np.moveaxis(places.reshape(len(own), -1, 2), -1, 0)
+    net, twists = (np.moveaxis(x, 0, -1)[..., None] for x in (patches.net, patches.twists))
+    slopes = twist_slopes(len(twists), u, v)
+    along_u = evaluate_patch(derivative(net), u, v) + combine(twists, slopes[0])
+    along_v = evaluate_patch(np.swapaxes(derivative(np.swapaxes(net, 0, 1)), 0, 1), u, v) + combine(twists, slopes[1])
+    found = np.moveaxis(np.cross(along_u, along_v, axis=0), 0, -1)
+    length = np.linalg.norm(found, axis=-1, keepdims=True)
+    found = (found / np.where(length > 0, length, 1.0)).reshape(-1, len(t), 3)  # 0 along pinched sides
     order = np.argsort(sides.numbers.ravel(), kind="stable")
     same = np.diff(sides.numbers.ravel()[order]) == 0
     one, other = found[order[:-1][same]], found[order[1:][same]]

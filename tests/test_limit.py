@@ -158,6 +158,7 @@ def test_bounds_hold_and_are_near(scheme, rng):
     assert limit_distance(scene_of(mesh)).bound is None, "faces have several irregular corners"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_distances_do_not_depend_on_how_deep_the_surface_goes(scheme, rng):
     mesh = disc(6, rings=3, rng=rng)
@@ -228,6 +229,7 @@ def write_cube(path):
     path.write_text("\n".join(lines) + "\n")
 
 
+@pytest.mark.slow
 def test_the_command_of_one_scheme(capsys, tmp_path):
     write_cube(tmp_path / "box.obj")
     result = run_json(capsys, "limit", "box.obj", "--scheme", "gregory", *SMALL)

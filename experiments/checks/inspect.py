@@ -33,7 +33,7 @@ from slefejax.tessellator.coincidence import coincident_sides
 from slefejax.tessellator.edges import collapsed
 from slefejax.tessellator.levels import HIGHEST_LEVEL, triangle_counts
 
-_MOST_COMPARED = 20_000  # patches: of more it would take long to know how far the limit surface is
+_MOST_COMPARED = 5_000  # patches: of more it would take long to know how far the limit surface is
 _SAY_UP = (".usd", ".usda", ".usdc", ".usdz", ".gltf", ".glb", ".json", ".3dm")
 
 
