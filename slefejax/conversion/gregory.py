@@ -149,14 +149,43 @@ class Points:
         return crease_frame(around)[0], (b.take(fan) @ step).scaled(1.0 / eigenvalue(around.steps.astype(float)))
 
     @cached_property
+    def odd(self) -> Int[np.ndarray, "odd"]:
+        """Corners whose face points are not those of ``acc``: V, W or X is irregular."""
+        mesh, regular = self.around.mesh, self._regular
+        return np.flatnonzero(~(regular[mesh.corners] & regular[mesh.ends] & regular[mesh.corners[mesh.prev_corner]]))
+
+    @cached_property
+    def inside(self) -> StencilTable:
+        """Of every corner the mean of both face points."""
+        plus, minus = self._weights
+        mean = (plus + minus).scaled(0.5) @ self._all
+        return _instead(self._masks.normalised(), self.odd, mean)
+
+    @cached_property
+    def twists(self) -> StencilTable:
+        """f along V -> W less f along V -> X, of odd corners; of the others they are equal."""
+        plus, minus = self._weights
+        return (plus - minus) @ self._all
+
+    @cached_property
     def faces(self) -> tuple[StencilTable, StencilTable]:
         """f of every corner V, along V -> W and along V -> X."""
-        mesh, around = self.around.mesh, self.around
+        masks = self._masks.normalised()
+        plus, minus = (_instead(masks, self.odd, own @ self._all) for own in self._weights)
+        return plus, minus
+
+    @cached_property
+    def _all(self) -> StencilTable:
+        """What face points are made of: the pool, edge points, corner points, ``acc``'s own of odd corners."""
+        return self._pool.stacked(self.edges, self.vertices, self._masks.take(self.odd).normalised())
+
+    @cached_property
+    def _weights(self) -> tuple[StencilTable, StencilTable]:
+        """Both face points of odd corners, from all that."""
+        mesh, corner = self.around.mesh, self.odd
         before, vertex = mesh.prev_corner, mesh.corners
-        regular = self._regular
-        corner = np.flatnonzero(~(regular[vertex] & regular[mesh.ends] & regular[vertex[before]]))
-        fixed = around.rule[vertex] == CORNER
-        there = [(self._smooth & ~fixed)[corner], (self._smooth[before] & ~fixed)[corner]]
+        fixed = self.around.rule[vertex] == CORNER
+        there = [(own & ~fixed)[corner] for own in (self._smooth, self._smooth[before])]
         other = mesh.next_corner[np.maximum(mesh.twin, 0)], np.maximum(mesh.twin[before], 0)
         across = mesh.edge[other[0]], mesh.edge[before[other[1]]]
         out, back = out_and_back(mesh)
@@ -165,12 +194,13 @@ class Points:
             (before, back[before], out[before], mesh.edge, across[1], mesh.face[other[1]]),
         )
         found = [self._face_points(corner, *(numbers[corner] for numbers in own)) for own in along]
-        both = self._masks.normalised().stacked(*found)
-        rows = [len(vertex) + k * len(corner) + np.arange(len(corner)) for k in (0, 1)]
-        plus, minus = np.tile(np.arange(len(vertex)), (2, 1))
-        plus[corner] = np.select([there[0], there[1]], rows, corner)
-        minus[corner] = np.select([there[1], there[0]], rows[::-1], corner)
-        return both.take(plus), both.take(minus)
+        count = len(corner)
+        own = np.arange(self._all.rows - count, self._all.rows)
+        plain = StencilTable.of(np.arange(count), own, np.ones(count), (count, self._all.rows))
+        both = plain.stacked(*found)
+        rows = [k * count + np.arange(count) for k in (0, 1, 2)]
+        plus = both.take(np.select(there, rows[1:], rows[0]))
+        return plus, both.take(np.select(there[::-1], rows[:0:-1], rows[0]))
 
     def _face_points(self, corner: Any, last: Any, near: Any, far: Any, beside: Any, across: Any, other: Any) -> Any:
         """f of corners along edges, from the numbers of what lies around them."""
@@ -190,9 +220,9 @@ class Points:
             (centroids + other, -2.0 * ones / 3.0),
         )
         columns, weights = (np.stack(x, axis=1) for x in zip(*terms, strict=True))
-        pool = self._pool.stacked(self.edges, self.vertices)
         rows = np.repeat(np.arange(len(corner)), len(terms))
-        return StencilTable.of(rows, columns.ravel(), (weights / d[:, None]).ravel(), (len(corner), pool.rows)) @ pool
+        shape = len(corner), self._all.rows
+        return StencilTable.of(rows, columns.ravel(), (weights / d[:, None]).ravel(), shape)
 
 
 def _instead(table: StencilTable, rows: Int[np.ndarray, "n"], found: StencilTable) -> StencilTable:

@@ -33,15 +33,14 @@ def gregory_patches(mesh: Mesh) -> Patchwork:
     """
     around = Neighbourhood.of(mesh)
     points = Points(around)
-    plus, minus = points.faces
-    own = (_cubic if mesh.sizes.min() == 4 else _quartic)(mesh, points.vertices.stacked(points.edges, plus, minus))
-    twists = plus - minus
+    own = (_cubic if mesh.sizes.min() == 4 else _quartic)(mesh, points)
+    twists = points.twists
     largest = np.zeros(twists.rows)
     np.maximum.at(largest, np.repeat(np.arange(twists.rows), twists.counts), np.abs(twists.matrix.data))
     there = np.flatnonzero(largest > _ROUNDING)
     none = StencilTable.of([], [], [], (1, mesh.vertex_count))
-    place = np.full(twists.rows + 1, own.points.rows)
-    place[there] = own.points.rows + 1 + np.arange(len(there))
+    place = np.full(len(mesh.corners) + 1, own.points.rows)
+    place[points.odd[there]] = own.points.rows + 1 + np.arange(len(there))
     table = own.points.stacked(none, twists.take(there)).pruned(_ROUNDING)
     return Patchwork(table, own.net, np.arange(mesh.face_count), kinds(around), twists=place[own.corners])
 
@@ -54,18 +53,18 @@ class _Nets(NamedTuple):
     corners: Int[np.ndarray, "faces slots"]
 
 
-def _cubic(mesh: Mesh, pool: StencilTable) -> _Nets:
+def _cubic(mesh: Mesh, points: Points) -> _Nets:
     corner = np.arange(len(mesh.corners))
     first = mesh.vertex_count + 2 * mesh.edge_count
-    plus, minus = pool.take(first + corner), pool.take(first + len(corner) + corner)
-    points = pool.take(np.arange(first)).stacked((plus + minus).scaled(0.5))
     out, back = (mesh.vertex_count + rows for rows in out_and_back(mesh))
     by_face = corner.reshape(-1, 4)
-    return _Nets(points, quad_net(mesh.corners, out, back, first + corner, by_face.T), by_face)
+    table = points.vertices.stacked(points.edges, points.inside)
+    return _Nets(table, quad_net(mesh.corners, out, back, first + corner, by_face.T), by_face)
 
 
-def _quartic(mesh: Mesh, pool: StencilTable) -> _Nets:
+def _quartic(mesh: Mesh, own: Points) -> _Nets:
     """Sides are raised once an edge, so that neighbours have the same points."""
+    pool = own.vertices.stacked(own.edges, *own.faces)
     first = mesh.vertex_count
     lower, upper = mesh.edge_vertices.min(axis=1), mesh.edge_vertices.max(axis=1)
     near, far = first + 2 * np.arange(mesh.edge_count), first + 2 * np.arange(mesh.edge_count) + 1
