@@ -35,6 +35,7 @@ class Certificate:
     factor     : ``(patches,)``, what they are, from which on the theorem holds on even grids
     pictures   : the same patches, for cells and triangles that are looked at one by one (``slefejax.predict.cells``)
     memory     : what is known of cells and triangles of the same patches in the same view
+    closer     : cells just above the tolerance are looked at part by part
     scale      : that of ``Factors.scaled``: what is proved for n is taken for scale times n, and errors of 1/scale^2
                  times the tolerance are allowed
     """
@@ -46,6 +47,7 @@ class Certificate:
     factor: Float[np.ndarray, "patches"]
     pictures: Pictures
     memory: Memory
+    closer: bool = False
     scale: float = 1.0
 
     @cached_property
@@ -108,7 +110,7 @@ class Certificate:
         """At most how far visible points of grids with up to 64 lines err, over what is allowed."""
         lines = self.pattern.lines(in_pieces)
         given = [*levels.T, np.full(len(patch), in_pieces)]
-        find = lambda own: grid_errors(self.pictures, patch[own], levels[own], lines)  # noqa: E731
+        find = lambda own: grid_errors(self.pictures, patch[own], levels[own], lines, self.closer)  # noqa: E731
         return self.scale**2 * self.memory.recall("grids", patch, given, find)
 
     def ring_errors(

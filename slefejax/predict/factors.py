@@ -307,7 +307,9 @@ class _Certify:
             self.method.drawn_with,
             Pictures(self._on_screen, len(self.packed)),
         )
-        return Certificate(self._given, tolerances, tiles, pattern, self.factor, pictures, self.memory)
+        # bounds of twist terms are loose on large cells
+        closer = self.packed.gregory and self.method.levels == "fewest"
+        return Certificate(self._given, tolerances, tiles, pattern, self.factor, pictures, self.memory, closer)
 
     def _given(self) -> tuple[Any, Projection]:
         chunks, projection = self.packed.placed(self.view)
