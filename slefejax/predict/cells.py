@@ -141,29 +141,59 @@ def cell_errors(
 
 
 def triangle_errors(
-    pictures: Pictures, patch: Int[np.ndarray, "n"], corners: Float[np.ndarray, "n 3 2"]
+    pictures: Pictures, patch: Int[np.ndarray, "n"], corners: Float[np.ndarray, "n 3 2"], closer: Any = False
 ) -> Float[np.ndarray, "n"]:
-    """The same of triangles, from the parameters of their corners."""
-    return pictures.through(_triangles_pass, patch, corners.reshape(-1, 6))
+    """The same of triangles, from the parameters of their corners.
+
+    closer : of which triangles, if they are just above 1, parts are looked at one by one
+    """
+    flat = corners.reshape(-1, 6)
+    error = pictures.through(_triangles_pass, patch, flat)
+    near = np.flatnonzero((error > 1.0) & (error < _NEAR) & closer)
+    parts = np.tile(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 1.0]), (len(near), 1))  # shares of the second and third corner
+
+    def quarters(parts: np.ndarray) -> np.ndarray:
+        a, b, c = np.moveaxis(parts.reshape(-1, 3, 2), 1, 0)
+        ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
+        return np.stack([np.hstack(t) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (bc, ca, ab))], axis=1)
+
+    find = lambda own, part: pictures.through(_pieces_pass, patch[own], flat[own], part)  # noqa: E731
+    return _part_by_part(error, near, parts, quarters, find)
 
 
 def _closer(pictures: Pictures, patch: np.ndarray, low: np.ndarray, high: np.ndarray, error: np.ndarray) -> np.ndarray:
     """The same errors of cells; those that are just above 1 are looked at part by part."""
     near = np.flatnonzero((error > 1.0) & (error < _NEAR))
-    windows, settled = np.tile([0.0, 0.0, 1.0], (len(near), 1)), np.zeros(len(error))
+
+    def quarters(parts: np.ndarray) -> np.ndarray:
+        place, side = parts[:, None, :2] + 0.5 * parts[:, 2, None, None] * _QUARTERS, 0.5 * parts[:, 2]
+        return np.concatenate([place, np.broadcast_to(side[:, None, None], (*place.shape[:2], 1))], axis=2)
+
+    parts = np.tile([0.0, 0.0, 1.0], (len(near), 1))
+    find = lambda own, part: pictures.through(_windows_pass, patch[own], low[own], high[own], part)  # noqa: E731
+    return _part_by_part(error, near, parts, quarters, find)
+
+
+def _part_by_part(
+    error: np.ndarray,
+    near: np.ndarray,
+    parts: np.ndarray,
+    quarters: Callable[[np.ndarray], np.ndarray],
+    find: Callable[[np.ndarray, np.ndarray], np.ndarray],
+) -> np.ndarray:
+    """Errors of items, of some the largest of their parts, quarters of quarters as long as one is above 1."""
+    settled = np.zeros(len(error))
     for _ in range(_HALVINGS):
         if not len(near):
             break
-        place, side = windows[:, None, :2] + 0.5 * windows[:, 2, None, None] * _QUARTERS, 0.5 * windows[:, 2]
-        windows = np.concatenate([place, np.broadcast_to(side[:, None, None], (*place.shape[:2], 1))], axis=2)
-        cell, windows = np.repeat(near, 4), windows.reshape(-1, 3)
-        found = pictures.through(_windows_pass, patch[cell], low[cell], high[cell], windows)
-        worst = settled.copy()
-        np.maximum.at(worst, cell, found)
+        parts = quarters(parts)
+        item, parts = np.repeat(near, parts.shape[1]), parts.reshape(-1, parts.shape[2])
+        found, worst = find(item, parts), settled.copy()
+        np.maximum.at(worst, item, found)
         error[near] = np.minimum(error[near], worst[near])
-        again = (found > 1.0) & (worst[cell] < _NEAR)
-        np.maximum.at(settled, cell[found <= 1.0], found[found <= 1.0])
-        near, windows = cell[again], windows[again]
+        again = (found > 1.0) & (worst[item] < _NEAR)
+        np.maximum.at(settled, item[found <= 1.0], found[found <= 1.0])
+        near, parts = item[again], parts[again]
     return error
 
 
@@ -172,12 +202,12 @@ def grid_errors(
     patch: Int[np.ndarray, "n"],
     levels: Int[np.ndarray, "n 2"],
     lines: Float[np.ndarray, "n m"],
-    closer: bool = False,
+    closer: Any = False,
 ) -> Float[np.ndarray, "n"]:
     """The same of patches cut into that many cells along u and v.
 
     lines  : ``(levels + 1, lines)``, where the lines of a grid are, by its level
-    closer : cells just above 1 are looked at part by part, whose bounds are tighter
+    closer : of which patches cells just above 1 are looked at part by part, whose bounds are tighter
     """
     counts = levels.prod(axis=1)
     ends = np.cumsum(counts)
@@ -188,10 +218,10 @@ def grid_errors(
         cell = np.stack(np.divmod(index - (ends[which] - counts[which]), levels[which, 1]), axis=1)
         low, high = (lines[levels[which], cell + k] for k in (0, 1))
         error = cell_errors(pictures, patch[which], low, high)
-        if closer:
-            bad = np.zeros(len(worst), bool)
-            bad[which[error >= _NEAR]] = True
-            own = np.flatnonzero(~bad[which])
+        if np.any(closer):
+            worth = np.broadcast_to(closer, len(worst)).copy()
+            worth[which[error >= _NEAR]] = False
+            own = np.flatnonzero(worth[which])
             error[own] = _closer(pictures, patch[which[own]], low[own], high[own], error[own])
         np.maximum.at(worst, which, error)
     return worst
@@ -223,6 +253,11 @@ def _cells_pass(packed: Any, control: Any, twists: Any, half: Any, sizes: Any, f
 @passes.as_pass(6)
 def _windows_pass(packed: Any, control: Any, twists: Any, half: Any, sizes: Any, floor: Any, rows: int) -> Any:
     return loops.over_chunks(partial(_window_error, rows=rows), packed, control, twists, half, sizes, floor)
+
+
+@passes.as_pass(6)
+def _pieces_pass(packed: Any, control: Any, twists: Any, half: Any, sizes: Any, floor: Any, rows: int) -> Any:
+    return loops.over_chunks(partial(_piece_error, rows=rows), packed, control, twists, half, sizes, floor)
 
 
 @passes.as_pass(6)
@@ -308,12 +343,12 @@ class _Part(NamedTuple):
         high: list[Lanes],
         rows: int,
         inside: list[Any] | None = None,
-        window: _Window | None = None,
+        window: _Window | _Piece | None = None,
     ) -> _Part:
         """A cell, if nothing else is said.
 
         inside : places in the box of the corners and middles of a triangle, along u and v
-        window : which part of which cell this is
+        window : which part of which cell or triangle this is
         """
         control, twists, half, sizes, floor = pictured
         index = patch.astype(jnp.int32)
@@ -331,11 +366,11 @@ class _Part(NamedTuple):
         swing = [own.swing(places) for own in (*every, w)] if slots else [0.0] * 4
         least = nets.bottom(w.centred(places)) - swing[-1]
         if window is not None:
-            least = smaller(least, nets.bottom(_drawn_corners(w, places)))
+            least = smaller(least, nets.bottom(_drawn_corners(w, places, inside is not None)))
         least = least - _ROUNDING * size[3]
         deep = least >= 0.5 * floor[index]
         least = jnp.where(deep, least, 1.0)
-        outline = _corners if window is None else _drawn_corners
+        outline = _corners if window is None else partial(_drawn_corners, triangle=False)
         drawn = [outline(own, places) if inside is None else own.centred(places) for own in (*every, w)]
         room = [0.0] * 3 if inside is None else [swing[k] + half[k] * swing[-1] for k in range(3)]
         planes = [_outside(net, drawn[-1], half[k], size[k], size[3], room[k]) for k, net in enumerate(drawn[:-1])]
@@ -375,14 +410,8 @@ class _Window(NamedTuple):
 
     def corners(self, net: Net, twists: list[Lanes]) -> list[Lanes]:
         """Values at the cell's corners, counter-clockwise."""
-        found = []
         (u0, v0), (u1, v1) = self.low, self.high
-        for u, v in ((u0, v0), (u1, v0), (u1, v1), (u0, v1)):
-            basis = [bernstein(n - 1, t) for n, t in zip(net.shape[:2], (u, v), strict=True)]
-            terms = twist_basis(len(twists), u, v) if twists else []
-            own = zip(twists, terms, strict=True)
-            found.append(nets.total([nets.combined_at(net, *basis), *(t * b for t, b in own)]))
-        return found
+        return [_value(net, twists, u, v) for u, v in ((u0, v0), (u1, v0), (u1, v1), (u0, v1))]
 
     @property
     def shares(self) -> list[tuple[Any, ...]]:
@@ -395,11 +424,43 @@ class _Window(NamedTuple):
         return [rising, falling]
 
 
+class _Piece(NamedTuple):
+    """A part of a triangle: one with these barycentric coordinates."""
+
+    places: list[tuple[Lanes, Lanes]]  # (u, v) of the triangle's corners
+    parts: list[tuple[Lanes, ...]]  # of each corner of the part, the shares of these
+
+    @property
+    def own(self) -> list[list[Lanes]]:
+        """u, and v, of the part's corners."""
+        return [
+            [nets.total([t * x[axis] for t, x in zip(part, self.places, strict=True)]) for part in self.parts]
+            for axis in (0, 1)
+        ]
+
+    def corners(self, net: Net, twists: list[Lanes]) -> list[Lanes]:
+        """Values at the triangle's corners."""
+        return [_value(net, twists, u, v) for u, v in self.places]
+
+    @property
+    def shares(self) -> list[tuple[Any, ...]]:
+        """Of these in what is drawn at the part's corners and in the middles of its sides."""
+        ends = [jnp.stack([part[k] for part in self.parts]) for k in range(3)]
+        return [tuple(jnp.concatenate([x, 0.5 * (x + jnp.roll(x, -1, axis=0))]) for x in ends)]
+
+
+def _value(net: Net, twists: list[Lanes], u: Lanes, v: Lanes) -> Lanes:
+    """Of a whole patch at a place."""
+    basis = [bernstein(n - 1, t) for n, t in zip(net.shape[:2], (u, v), strict=True)]
+    terms = twist_basis(len(twists), u, v) if twists else []
+    return nets.total([nets.combined_at(net, *basis), *(t * b for t, b in zip(twists, terms, strict=True))])
+
+
 def _places(
-    low: list[Lanes], high: list[Lanes], inside: Any, window: _Window | None, slots: int, shape: Any
+    low: list[Lanes], high: list[Lanes], inside: Any, window: _Window | _Piece | None, slots: int, shape: Any
 ) -> _Places:
     """Of a cell all multiples of a quarter, row by row, or of a triangle those inside of the box."""
-    shares = [] if window is None else window.shares
+    shares: list[Any] = [] if window is None else window.shares
     if inside is None:
         along: list[Any] = [_quarters(n) for n in shape]
     else:
@@ -423,6 +484,26 @@ def _window_error(lanes: Any, *pictured: Any, rows: int) -> Lanes:
     patch, *own, side = lanes
     window = _Window(own[:2], own[2:4], own[4:], side)
     return _Part.of(pictured, patch, *window.box, rows, window=window).error(_of_window)
+
+
+def _piece_error(lanes: Any, *pictured: Any, rows: int) -> Lanes:
+    places = list(zip(lanes[1:7:2], lanes[2:7:2], strict=True))
+    second, third = lanes[7:13:2], lanes[8:13:2]
+    window = _Piece(places, [(1.0 - b - c, b, c) for b, c in zip(second, third, strict=True)])
+    u, v = window.own
+    low, high = ([reduce(choose, x) for x in (u, v)] for choose in (smaller, larger))
+    inside = [_inside(x, a, b) for x, a, b in zip((u, v), low, high, strict=True)]
+    return _Part.of(pictured, lanes[0], low, high, rows, inside, window).error(_of_piece)
+
+
+def _of_piece(own: _Polynomial, places: _Places) -> Lanes:
+    """The interpolation error of a triangle on a part of it: Bézier coefficients of a quadratic, and the rest."""
+    at = own.at([nets.combined_at(own.net, *at) for at in zip(*places.along, strict=True)], places)
+    drawn = own.drawn(0, places)
+    error = [x - drawn[k] for k, x in enumerate(at)]
+    middles = [2.0 * error[3 + k] - 0.5 * (error[k] + error[(k + 1) % 3]) for k in range(3)]
+    found = _largest_size([*error[:3], *middles]) + _rest(own.net)
+    return found + own.rest(places) if own.twists else found
 
 
 def _triangle_error(lanes: Any, *pictured: Any, rows: int) -> Lanes:
@@ -472,8 +553,10 @@ def _beyond_quarters(own: _Polynomial, places: _Places) -> Lanes:
     return found + own.rest(places) if own.twists else found
 
 
-def _drawn_corners(own: _Polynomial, places: _Places) -> Net:
-    """What is drawn at the corners of a window, for either diagonal."""
+def _drawn_corners(own: _Polynomial, places: _Places, triangle: bool) -> Net:
+    """What is drawn at the corners of a window, for either diagonal, or at those of a part of a triangle."""
+    if triangle:
+        return nets.objects([list(own.drawn(0, places)[:3])])
     return nets.objects([[own.drawn(d, places)[20 * i + 4 * j] for i in (0, 1) for j in (0, 1)] for d in (0, 1)])
 
 

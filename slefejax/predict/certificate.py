@@ -22,6 +22,7 @@ from slefejax.tessellator.levels import HIGHEST_LEVEL
 from slefejax.tessellator.rings import Pattern
 
 _FEW_CELLS = 1024
+_LARGE_CELLS = 9  # of a patch
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +36,8 @@ class Certificate:
     factor     : ``(patches,)``, what they are, from which on the theorem holds on even grids
     pictures   : the same patches, for cells and triangles that are looked at one by one (``slefejax.predict.cells``)
     memory     : what is known of cells and triangles of the same patches in the same view
-    closer     : cells just above the tolerance are looked at part by part
+    closer     : cells just above the tolerance are looked at part by part, of large grids too
+    loose      : bounds of few large cells and triangles are loose: of those parts are looked at in any case
     scale      : that of ``Factors.scaled``: what is proved for n is taken for scale times n, and errors of 1/scale^2
                  times the tolerance are allowed
     """
@@ -48,6 +50,7 @@ class Certificate:
     pictures: Pictures
     memory: Memory
     closer: bool = False
+    loose: bool = False
     scale: float = 1.0
 
     @cached_property
@@ -110,7 +113,8 @@ class Certificate:
         """At most how far visible points of grids with up to 64 lines err, over what is allowed."""
         lines = self.pattern.lines(in_pieces)
         given = [*levels.T, np.full(len(patch), in_pieces)]
-        find = lambda own: grid_errors(self.pictures, patch[own], levels[own], lines, self.closer)  # noqa: E731
+        closer = self.closer | (self.loose & (levels.prod(axis=1) <= _LARGE_CELLS))
+        find = lambda own: grid_errors(self.pictures, patch[own], levels[own], lines, closer[own])  # noqa: E731
         return self.scale**2 * self.memory.recall("grids", patch, given, find)
 
     def ring_errors(
@@ -121,7 +125,8 @@ class Certificate:
         def find(ring: np.ndarray) -> np.ndarray:
             own, corners = self.pattern.ring_triangles(side[ring], inner[ring], edge[ring], in_pieces)
             worst = np.zeros(len(ring))
-            np.maximum.at(worst, own, triangle_errors(self.pictures, patch[ring][own], corners))
+            closer = self.loose & (inner[ring].prod(axis=1) <= _LARGE_CELLS)
+            np.maximum.at(worst, own, triangle_errors(self.pictures, patch[ring][own], corners, closer[own]))
             return worst
 
         given = [side, *inner.T, edge, np.full(len(patch), in_pieces)]

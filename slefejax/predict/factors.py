@@ -308,8 +308,9 @@ class _Certify:
             Pictures(self._on_screen, len(self.packed)),
         )
         # bounds of twist terms are loose on large cells
-        closer = self.packed.gregory and self.method.levels == "fewest"
-        return Certificate(self._given, tolerances, tiles, pattern, self.factor, pictures, self.memory, closer)
+        loose = self.packed.gregory
+        closer = loose and self.method.levels == "fewest"
+        return Certificate(self._given, tolerances, tiles, pattern, self.factor, pictures, self.memory, closer, loose)
 
     def _given(self) -> tuple[Any, Projection]:
         chunks, projection = self.packed.placed(self.view)
