@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from slefejax import Camera, View
+from slefejax.bounds import parts
 from slefejax.geometry.bezier import evaluate_patch
 from slefejax.geometry.projection import Projection
 from slefejax.geometry.view import homogeneous
@@ -156,8 +157,8 @@ def test_constants_of_quadratic_interpolation(rng):
             power = apart[..., 0] ** i * apart[..., 1] ** j / 6
             constant.append(np.abs((basis * power).sum(axis=0)).max())
             varying.append((np.abs(basis) * np.abs(power)).sum(axis=0).max())
-    assert 0.98 * cells._CONSTANT < max(constant) <= cells._CONSTANT
-    assert 0.9 * cells._VARYING < max(varying) <= cells._VARYING
+    assert 0.98 * parts.CONSTANT < max(constant) <= parts.CONSTANT
+    assert 0.9 * parts.VARYING < max(varying) <= parts.VARYING
 
 
 def test_triangles_of_rings_are_the_tessellators(rng):

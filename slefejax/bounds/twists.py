@@ -43,7 +43,7 @@ _OF_TRIANGLE = (
 _OF_ANY = (5.65, 7.55)
 # Of quadratic interpolation on a triangle in the unit square: for a third derivative of size 1, for a second one, and
 # of w itself in a box at the corner, over the box' sides; on the quarters of both halves of a cell, on any triangle
-_VARYING = 0.0208
+VARYING = 0.0208
 _BENT = 0.1053
 _AT_CORNER = {True: 0.0211, False: 0.0535}
 
@@ -171,7 +171,7 @@ def _of_product(
     near = s[0] + t[0]
     away = near > 0
     by_third = jnp.where(away, w_3 / jnp.where(away, near, 1.0), jnp.inf)
-    third, second = _VARYING * (0.125 if cell else 1.0), _BENT * (0.25 if cell else 1.0)
+    third, second = VARYING * (0.125 if cell else 1.0), _BENT * (0.25 if cell else 1.0)
     changing = _changing(lowest, highest, x, along_t) if constant == 9.0 else w_2
     of_w = smaller(third * (by_third + more), second * changing)
     of_w = jnp.where((u[0] <= 0) & (v[0] <= 0), smaller(of_w, _AT_CORNER[cell] * x * z), of_w)
