@@ -26,6 +26,7 @@ from slefejax.lanes.programs import keep_programs
 from slefejax.late import one_at_a_time
 from slefejax.measure.covering import covering_error
 from slefejax.measure.error import drawn_error, pixel_error
+from slefejax.measure.jumps import edge_turns
 from slefejax.measure.limit import LimitDistance, limit_distance
 from slefejax.measure.minimal import minimal_factors, minimal_pairs
 from slefejax.measure.supremum import sampled_error, worst_points
@@ -38,7 +39,7 @@ from slefejax.predict.factors import Factors, tessellation_factors
 from slefejax.scene import Scene, load, save
 from slefejax.session import Session
 from slefejax.study.budget import Budget, distance_for_budget, real_triangles, tolerance_for_budget
-from slefejax.study.deviation import edge_turns, side_turns, surface_distance
+from slefejax.study.deviation import side_turns, surface_distance
 from slefejax.study.samples import Samples, measure_factors
 from slefejax.study.sensitivity import Sensitivity, sensitivity
 from slefejax.tessellator.levels import triangle_counts, with_pieces

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
 from slefejax import (
     Camera,
+    GregoryPatches,
     InputError,
     View,
     edge_turns,
@@ -19,7 +22,9 @@ from slefejax import (
     surface_distance,
 )
 from slefejax.geometry.bezier import evaluate_patch
-from slefejax.study.deviation import unfolded
+from slefejax.geometry.gregory import twist_basis, twist_slopes
+from slefejax.measure.jumps import side_places
+from slefejax.study.deviation import distance_squares, turn_squares, unfolded
 from slefejax.tessellator.edges import shared_edges
 
 FAST = {"method": "slefe", "segments": 1}
@@ -77,6 +82,45 @@ def test_turns_that_are_known():
     point = slope.copy()
     point[:, 0] = point[:, 0, :1]
     assert np.isfinite(side_turns(point, slope)).all()
+
+
+def test_gregory_patches_beside_bezier_ones(rng):
+    """Twists of one corner over a flat square: heights are known, and so are slopes across its sides."""
+    flat = patch_with(lambda x, y: 0 * x)
+    twists = np.zeros((2, 4, 3))
+    twists[:, 1, 2] = 0.4, 0.0
+    bent = GregoryPatches(np.concatenate([flat, flat]), twists)
+    whole = np.concatenate([flat, flat])
+    t = np.linspace(0.0, 1.0, 33)
+    heights = 0.4 * np.abs(twist_basis(4, *np.meshgrid(t, t, indexing="ij"))[1])
+    assert surface_distance(bent, whole) == pytest.approx([heights.max(), 0.0], abs=1e-12)
+    slopes = [
+        np.stack(own)
+        for own in zip(*(twist_slopes(4, u, v) for u, v in side_places(33).transpose(0, 2, 1)), strict=True)
+    ]
+    steepest = np.hypot(*(0.4 * own[:, 1] for own in slopes)).max()
+    assert side_turns(bent, whole) == pytest.approx([np.degrees(np.arctan(steepest)), 0.0], abs=1e-9)
+    assert unfolded(bent, whole).all()
+    # the same corner of a neighbour beyond u = 1, bent down as this one is bent up
+    far = twists[:1, [1, 0, 2, 3]] * [1.0, 1.0, -1.0]
+    both = GregoryPatches(np.concatenate([flat, flat + [1.0, 0.0, 0.0]]), np.concatenate([twists[:1], far]))
+    across = 0.4 * np.abs(slopes[0][2, 1])
+    assert edge_turns(both, shared_edges(both)) == pytest.approx([2.0 * np.degrees(np.arctan(across.max()))])
+
+
+def test_derivatives_by_twists(rng):
+    net, twists = patch_with(lambda x, y: x * y), 0.2 * rng.normal(size=(1, 4, 3))
+    along = rng.normal(size=twists.shape)
+
+    @jax.jit
+    @jax.value_and_grad
+    def change(t):
+        patches = GregoryPatches(net, twists + t * along)
+        return jnp.sum(distance_squares(patches, net, 4, 1)) + jnp.sum(turn_squares(patches, net, 4))
+
+    step = 1e-6
+    (low, _), (_, slope), (high, _) = (change(t) for t in (-step, 0.0, step))
+    assert float(slope) == pytest.approx(float(high - low) / (2.0 * step), rel=1e-5)
 
 
 @pytest.fixture(scope="module")

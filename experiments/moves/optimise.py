@@ -24,8 +24,9 @@ from slefejax.experiments.store import Row, Run, digest
 from slefejax.experiments.tables import write_csv
 from slefejax.figures.moves.optimise import write_optimise
 from slefejax.geometry.view import bounding_sphere, homogeneous
+from slefejax.measure.jumps import edge_turns
 from slefejax.predict.methods import Options
-from slefejax.study.deviation import edge_turns, surface_distance
+from slefejax.study.deviation import surface_distance
 from slefejax.study.relaxing import Descent, Relaxed
 from slefejax.tessellator.levels import triangle_counts
 

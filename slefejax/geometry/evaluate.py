@@ -66,7 +66,7 @@ def evaluate_patches(patches: Patches, parameters: Numbers) -> Float[Array | np.
             f" {tuple(parameters.shape)}"
         )
     xp: Any = np if all(isinstance(x, np.ndarray) for x in (*jax.tree.leaves(given), parameters)) else jnp
-    control = jax.tree.map(lambda x: xp.moveaxis(xp.asarray(x), 0, -1)[..., None], as_control(given))
+    control = beside_places(given, xp)
     u, v = xp.moveaxis(xp.asarray(parameters, given.dtype), -1, 0)
     points = xp.moveaxis(evaluate(control, u, v), 0, -1)
     return points[..., :3] / points[..., 3:] if given.shape[3] == 4 else points
@@ -79,3 +79,12 @@ def as_control(patches: Any) -> Any:
     (1, 4, 4, 3)
     """
     return Twisted(patches.net, patches.twists) if isinstance(patches, GregoryPatches) else patches
+
+
+def beside_places(patches: Any, xp: Any = jnp) -> Any:
+    """What ``evaluate`` takes with parameters ``(patches, places)``, by NumPy or JAX: an axis more for the places.
+
+    >>> beside_places(np.zeros((5, 4, 4, 3))).shape
+    (4, 4, 3, 5, 1)
+    """
+    return jax.tree.map(lambda x: xp.moveaxis(xp.asarray(x), 0, -1)[..., None], as_control(patches))

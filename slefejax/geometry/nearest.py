@@ -1,22 +1,21 @@
 """Nearest points on a surface that many bicubic patches make up, to rounding, in float64.
 
 A tree of samples says which patches may hold the nearest point, and Gauss-Newton's method finds it in each of them,
-along a side where it would leave the patch. Convergence is linear with a factor distance times curvature, which is
-tiny where a surface is compared with one that approximates it.
+along a side where it would leave the patch: in few steps where a surface is compared with one that approximates it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from slefejax.geometry.bezier import derivative, evaluate_patch
+from slefejax.geometry.bezier import evaluate_patch
+from slefejax.geometry.tangents import nearest_foot
 from slefejax.late import one_at_a_time
 
 _PLACES = 4  # of samples along each side of a patch
@@ -24,7 +23,6 @@ _CANDIDATES = 64  # samples, the patches of which are tried
 _STEPS = 10  # of Gauss-Newton's method
 _AT_A_TIME = 8192  # points; the compiled program is for so many
 _HELD = 1e-6  # of a patch's side: a foot that would go no further than this beyond its patch is none of the next
-_FLAT = 1e-12  # sine of an angle between tangents
 
 
 @dataclass(frozen=True)
@@ -130,7 +128,7 @@ class Surfaces:
         fill = lambda x: np.concatenate([x, np.repeat(x[:1], room - count, axis=0)])  # noqa: E731
         with jax.enable_x64(True):
             net = np.moveaxis(self.net[fill(patch)], 0, -1)
-            found = _feet_jit(net, fill(points).T, fill(start).T)
+            found = _feet_jit(net, fill(points).T, *fill(start).T)
         u, v, square, held = (np.asarray(x)[:count] for x in found)
         return np.stack([u, v], axis=1), square.copy(), held <= _HELD
 
@@ -164,39 +162,4 @@ def _parts(count: int) -> list[slice]:
     return [slice(k, min(k + _AT_A_TIME, count)) for k in range(0, count, _AT_A_TIME)]
 
 
-@jax.jit
-def _feet_jit(net: Any, points: Any, start: Any) -> Any:
-    """u, v, square of the distance, and how far beyond the patch the foot would go."""
-    along_u, along_v = derivative(net), jnp.swapaxes(derivative(jnp.swapaxes(net, 0, 1)), 0, 1)
-
-    def step(_: Any, state: Any) -> Any:
-        u, v, square, share = state
-        move_u, move_v, _ = _step(net, along_u, along_v, points, u, v)
-        there = jnp.clip(u + share * move_u, 0.0, 1.0), jnp.clip(v + share * move_v, 0.0, 1.0)
-        found = jnp.sum((points - evaluate_patch(net, *there)) ** 2, axis=0)
-        nearer = found < square
-        u, v, square = (jnp.where(nearer, new, old) for new, old in zip((*there, found), (u, v, square), strict=True))
-        return u, v, square, jnp.where(nearer, 1.0, 0.25 * share)
-
-    u, v = start
-    square = jnp.sum((points - evaluate_patch(net, u, v)) ** 2, axis=0)
-    u, v, square, _ = jax.lax.fori_loop(0, _STEPS, step, (u, v, square, jnp.ones_like(u)))
-    return u, v, square, _step(net, along_u, along_v, points, u, v)[2]
-
-
-def _step(net: Any, along_u: Any, along_v: Any, points: Any, u: Any, v: Any) -> tuple[Any, Any, Any]:
-    """Gauss-Newton's step within the patch, and how far beyond it would go; 0 if no side of the patch holds it."""
-    left = points - evaluate_patch(net, u, v)
-    p, q = evaluate_patch(along_u, u, v), evaluate_patch(along_v, u, v)
-    a, b, c = (jnp.sum(x * y, axis=0) for x, y in ((p, p), (p, q), (q, q)))
-    x, y = jnp.sum(p * left, axis=0), jnp.sum(q * left, axis=0)
-    determinant = a * c - b * b
-    steep = determinant > _FLAT * a * c
-    safe = jnp.where(steep, determinant, 1.0)
-    step_u, step_v = jnp.where(steep, (c * x - b * y) / safe, 0.0), jnp.where(steep, (a * y - b * x) / safe, 0.0)
-    out_u, out_v = (((t <= 0) & (d < 0)) | ((t >= 1) & (d > 0)) for t, d in ((u, step_u), (v, step_v)))
-    held = jnp.maximum(jnp.where(out_u, jnp.abs(step_u), 0.0), jnp.where(out_v, jnp.abs(step_v), 0.0))
-    alone_u, alone_v = (jnp.where(s > 0, r / jnp.where(s > 0, s, 1.0), 0.0) for r, s in ((x, a), (y, c)))
-    move_u = jnp.where(out_u, 0.0, jnp.where(out_v, alone_u, step_u))
-    move_v = jnp.where(out_v, 0.0, jnp.where(out_u, alone_v, step_v))
-    return move_u, move_v, held
+_feet_jit = jax.jit(partial(nearest_foot, steps=_STEPS))

@@ -5,16 +5,40 @@ from __future__ import annotations
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from slefejax.arguments import check_patches, on_host
-from slefejax.geometry.evaluate import as_control, evaluate
+from slefejax.arguments import Patches, check_patches, on_host
+from slefejax.geometry.evaluate import beside_places
+from slefejax.geometry.tangents import with_normals
+from slefejax.tessellator.edges import check_edge_numbers
 
 _PLACES = 33  # along an edge
 _AT_A_TIME = 8192  # edges
-_FLAT = 1e-9  # sine of an angle between tangents: below, there is no tangent plane
+
+
+def edge_turns(patches: Patches, edge_numbers: Int[np.ndarray, "patches 4"]) -> Float[np.ndarray, "shared"]:
+    """Angles, in degrees, by which the tangent plane turns from a patch to its neighbour: the largest along each edge.
+
+    patches      : polynomial ones, Bézier or Gregory
+    edge_numbers : from ``slefejax.tessellator.edges.shared_edges``
+
+    ``normal_jumps`` of the edges that exactly two patches share, in the order in which patches come to them.
+
+    >>> from slefejax.tessellator.edges import shared_edges
+    >>> flat = np.array([[[0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0]]], float)[None]
+    >>> roof = flat * [1.0, 1.0, 0.0] + [1.0, 0.0, 0.0] + (flat[..., :1]) * [0.0, 0.0, 1.0]
+    >>> both = np.concatenate([flat, roof])
+    >>> edge_turns(both, shared_edges(both)).round(6).tolist()
+    [45.0]
+    """
+    control = check_patches(patches, dims=(3,), gregory=True)
+    numbers = check_edge_numbers(edge_numbers, len(control)).ravel()
+    order = np.argsort(numbers, kind="stable")
+    _, first, count = np.unique(numbers[order], return_index=True, return_counts=True)
+    pairs = order[first[count == 2][:, None] + np.arange(2)]
+    pairs = pairs[np.argsort(pairs[:, 0])]
+    return normal_jumps(control, np.stack(np.divmod(pairs, 4), axis=-1))
 
 
 def normal_jumps(patches: Any, sides: Int[np.ndarray, "edges 2 2"]) -> Float[np.ndarray, "edges"]:
@@ -37,7 +61,10 @@ def normal_jumps(patches: Any, sides: Int[np.ndarray, "edges 2 2"]) -> Float[np.
     if len(sides) > _AT_A_TIME:
         parts = range(0, len(sides), _AT_A_TIME)
         return np.concatenate([normal_jumps(patches, sides[k : k + _AT_A_TIME]) for k in parts])
-    (one, n), (other, m) = (_side(control[sides[:, k, 0]], sides[:, k, 1]) for k in (0, 1))
+    places = side_places(_PLACES)
+    (one, n), (other, m) = (
+        points_and_normals(control[which], places[side]) for which, side in sides.transpose(1, 2, 0)
+    )
     there, back = (np.abs(one - other[:, ::step]).max(axis=(1, 2)) for step in (1, -1))
     m = np.where((there <= back)[:, None, None], m, m[:, ::-1])
     angle = np.arctan2(np.linalg.norm(np.cross(n, m), axis=-1), np.abs(np.sum(n * m, axis=-1)))
@@ -53,28 +80,22 @@ def points_and_normals(patches: Any, parameters: Float[np.ndarray, "patches plac
     >>> points_and_normals(flat, np.array([[[0.5, 0.25]]]))[1].tolist()
     [[[0.0, 0.0, 1.0]]]
     """
-    control = jax.tree.map(
-        lambda x: np.moveaxis(np.asarray(x, np.float64), 0, -1)[..., None], as_control(on_host(patches))
-    )
+    control = beside_places(on_host(patches).astype(np.float64), np)
     with jax.enable_x64(True):
         found = _normals_jit(control, *np.moveaxis(np.asarray(parameters, np.float64), -1, 0))
     points, normals = (np.moveaxis(np.asarray(x), 0, -1) for x in found)
     return points, normals
 
 
-def _side(patches: Any, side: np.ndarray) -> tuple[Any, Any]:
-    """Points and normals along a side of each patch."""
-    t = (np.arange(_PLACES) + 0.5) / _PLACES
-    u = np.where((side % 2 == 1)[:, None], t, np.where((side == 0)[:, None], 0.0, 1.0))
-    v = np.where((side % 2 == 0)[:, None], t, np.where((side == 1)[:, None], 0.0, 1.0))
-    return points_and_normals(patches, np.stack([u, v], axis=-1))
+def side_places(count: int) -> Float[np.ndarray, "4 count 2"]:
+    """Parameters (u, v) of places inside of the sides u=0, v=0, u=1, v=1.
+
+    >>> side_places(1).tolist()
+    [[[0.0, 0.5]], [[0.5, 0.0]], [[1.0, 0.5]], [[0.5, 1.0]]]
+    """
+    t = (np.arange(count) + 0.5) / count
+    zero, one = np.zeros(count), np.ones(count)
+    return np.stack([np.stack(side, axis=-1) for side in ((zero, t), (t, zero), (one, t), (t, one))])
 
 
-@jax.jit
-def _normals_jit(control: Any, u: Any, v: Any) -> tuple[Any, Any]:
-    point, along_u = jax.jvp(lambda x: evaluate(control, x, v), (u,), (jnp.ones_like(u),))
-    _, along_v = jax.jvp(lambda x: evaluate(control, u, x), (v,), (jnp.ones_like(v),))
-    normal = jnp.cross(along_u, along_v, axis=0)
-    square = jnp.sum(normal**2, axis=0)
-    plane = square > _FLAT**2 * jnp.sum(along_u**2, axis=0) * jnp.sum(along_v**2, axis=0)
-    return point, jnp.where(plane, normal / jnp.sqrt(jnp.where(plane, square, 1.0)), 0.0)
+_normals_jit = jax.jit(with_normals)
