@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
@@ -126,14 +126,11 @@ class LoadOptions:
             **own,
         }
 
-    def bezier(self, scene: str) -> Scene:
-        """The same of Bézier patches. Raises InputError for others, too."""
+    def bezier(self, scene: str, why: str) -> Scene:
+        """The same of Bézier patches. Raises InputError for Gregory patches, too, which says why."""
         found = self.load(scene)
         if isinstance(found.control, GregoryPatches):
-            raise InputError(
-                f"what is compared here is for Bézier patches: choose --scheme acc or pinched for {found.name}",
-                options=("scheme",),
-            )
+            raise InputError(f"{why}: choose --scheme acc or pinched for {found.name}", options=("scheme",))
         return found
 
     def load(self, scene: str) -> Scene:
@@ -231,6 +228,16 @@ def columns_of(method: Method) -> dict[str, Any]:
     return {"method": name_of(method), "segments": getattr(method, "segments", float("nan"))}
 
 
+def applicable(methods: Mapping[str, Method], scene: Scene) -> tuple[dict[str, Method], str]:
+    """Those that take the scene's patches, and a sentence about the others, empty if there are none."""
+    gregory, rational = isinstance(scene.control, GregoryPatches), scene.control.shape[3] == 4
+    kind = "takes_gregory" if gregory else "takes_rational" if rational else ""
+    taken = {name: method for name, method in methods.items() if not kind or getattr(method, kind, True)}
+    left = ", ".join(name for name in methods if name not in taken)
+    wanted, given = ("Bézier", "Gregory") if gregory else ("polynomial", "rational")
+    return taken, left and f"left out, as they are for {wanted} patches and these are {given} ones: {left}"
+
+
 @contextmanager
 def own_modules(*names: str) -> Iterator[None]:
     """Within, names such as my_module:MyMethod are looked for in the folder that a command is run in, too.
@@ -257,11 +264,16 @@ def option_names(command: Any) -> set[str]:
     return found
 
 
-def notes_of(scenes: Sequence[Scene]) -> tuple[str, ...]:
-    """What was noticed when scenes were read, with their names if there are several."""
+def notes_of(scenes: Sequence[Scene], more: Sequence[str] = ()) -> tuple[str, ...]:
+    """What was noticed when scenes were read, with their names if there are several.
+
+    more : one more note of every scene, empty where there is none
+    """
+    both = zip(scenes, more or [""] * len(scenes), strict=True)
+    notes = [(*scene.notes, *([own] if own else [])) for scene, own in both]
     if len(scenes) == 1:
-        return scenes[0].notes
-    return tuple(f"{scene.name}: {note}" for scene in scenes for note in scene.notes)
+        return notes[0]
+    return tuple(f"{scene.name}: {note}" for scene, own in zip(scenes, notes, strict=True) for note in own)
 
 
 def parse_size(text: str) -> tuple[int, int]:

@@ -311,10 +311,59 @@ def test_what_gregory_patches_are_not_for(tmp_path):
     assert set(np.asarray(fixed.factor)) == {3.0}
 
 
-@pytest.mark.parametrize("command", ["certify", "error-time", "fit-km", "optimise"])
-def test_commands_that_compare_with_rules_for_bezier_patches(command, capsys, tmp_path):
-    assert main([command, "walker", "--scheme", "gregory", "--out", str(tmp_path)]) == 2
-    assert "is for Bézier patches: choose --scheme acc or pinched for walker" in capsys.readouterr().err
+def test_edges_are_as_long_as_the_nets(rng):
+    net, twists = rng.normal(size=(3, 4, 4, 3)), rng.normal(size=(3, 4, 3))
+    view = View(Camera.look_at((3.0, -14.0, 2.0), (0, 0, 0)), 640, 400)
+    lengths = [tessellation_factors(own, view, "edge-length").factor for own in (GregoryPatches(net, twists), net)]
+    assert np.array_equal(*lengths)
+    assert np.min(lengths) > 1.0
+
+
+@pytest.fixture
+def pyramid(tmp_path, monkeypatch):
+    """A square and four triangles."""
+    monkeypatch.chdir(tmp_path)
+    corners = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv .5 .5 1\n"
+    (tmp_path / "pyramid.obj").write_text(corners + "f 4 3 2 1\nf 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\n")
+    return ("pyramid.obj", "--scheme", "gregory")
+
+
+@pytest.mark.parametrize(
+    ("command", "why"),
+    [
+        ("fit-km", "slefes, which are of Bézier patches"),
+        ("optimise", "would no longer join smoothly"),
+        ("scaling", "parts of Gregory patches are none"),
+    ],
+)
+def test_commands_for_bezier_patches_say_why(command, why, pyramid, capsys):
+    assert main([command, *pyramid]) == 2
+    said = capsys.readouterr().err
+    assert f"{why}: choose --scheme acc or pinched for pyramid" in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.gl
+def test_certify_leaves_out_what_is_for_bezier_patches(device, pyramid, capsys):
+    found = run_json(capsys, "certify", *pyramid, "--size", "120x80")
+    assert "these are Gregory ones: slefe, filip" in found["notes"][0]
+    assert [row["method"] for row in found["summary"]] == ["certified"]
+    assert found["summary"][0]["patches_above"] == 0
+    for row in found["rows"]:
+        assert 2 <= row["minimal"] <= row["factor"]
+        assert 0 < row["sup_error_px"] <= 0.5 - row["slack_px"] <= 0.5
+        assert row["slefe_factor"] is None
+
+
+@pytest.mark.gl
+def test_error_time_leaves_out_what_is_for_bezier_patches(device, pyramid, capsys):
+    asked = ("error-time", *pyramid, "--size", "120x80", "--repeats", "1")
+    found = run_json(capsys, *asked)
+    assert [row["method"] for row in found["rows"]] == ["certified", "edge-length 8", "fixed 16"]
+    assert "slefe m=6, filip, screen-box 1" in found["notes"][0]
+    assert found["rows"][0]["drawn_sup_error_px"] <= 0.5
+    assert main([*asked, "--methods", "fixed 16", "slefe m=3"]) == 2
+    assert "scene 'pyramid': method 'slefe' is for Bézier patches" in capsys.readouterr().err
 
 
 @pytest.mark.slow

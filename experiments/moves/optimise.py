@@ -32,6 +32,7 @@ from slefejax.tessellator.levels import triangle_counts
 
 _FINE = 65  # places along each side where the distance is measured at last
 _LISTED = 10
+_WHY = "inner control points are moved patch by patch here, and Gregory patches would no longer join smoothly"
 _KEPT = 10  # steps after which what was reached is written down
 
 
@@ -63,7 +64,7 @@ class Optimise:
         check_count("--seed", self.seed, 0)
         if not (np.isfinite(self.within) and self.within > 0):
             raise InputError(f"--within is a share of the radius, a positive number, not {self.within}")
-        scene = self.loading.bezier(self.scene)
+        scene = self.loading.bezier(self.scene, _WHY)
         _, radius = bounding_sphere(scene.points())
         views = cameras_around(scene, *parse_size(self.size), self.cameras, self.seed)
         inputs = {"patches": digest(scene.patches().tobytes())}

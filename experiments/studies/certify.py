@@ -16,6 +16,7 @@ from slefejax.experiments.options import (
     OutputOptions,
     Scenes,
     ViewOptions,
+    applicable,
     camera_record,
     check_count,
     notes_of,
@@ -34,7 +35,7 @@ from slefejax.predict.methods import Certified, Slefe
 from slefejax.predict.rules import Filip
 from slefejax.tessellator.levels import HIGHEST_LEVEL
 
-METHODS = ("certified", "slefe", "filip")
+SHOWN = ("certified", "slefe")
 _REPEATS = 7
 
 
@@ -63,7 +64,7 @@ class Certify:
         if not self.scenes:
             raise InputError("name at least one scene: a file, teapot, twisted-quad or steep-patch")
         check_count("--tiles", self.tiles)
-        scenes = [self.loading.bezier(name) for name in self.scenes]
+        scenes = [self.loading.load(name) for name in self.scenes]
         views = [self.camera.view(scene) for scene in scenes]
         device = open_device()
         arguments = {**asdict(self), "output": None, "camera": [camera_record(view) for view in views]}
@@ -75,10 +76,13 @@ class Certify:
             looks.release()
             summary = shown(found)
             rows = _patch_rows(found, self.tolerance)
-            images = [[run.file(picture_name(k, name)) for name in METHODS[:2]] for k in range(len(scenes))]
+            images = [
+                [run.file(picture_name(k, name)) for name in looks.methods[k] if name in SHOWN]
+                for k in range(len(scenes))
+            ]
             write_certify_figure(run.file("certify.png"), rows, summary, images, self.tolerance)
             names = " ".join(scene.name for scene in scenes)
-            notes = notes_of(scenes)
+            notes = notes_of(scenes, looks.left_out)
             record = {"scene": names, "notes": notes, "summary": summary, "opengl": {"renderer": device.renderer}}
             out = run.finish(rows, record)
         broken = sum(row["sup_error_px"] > self.tolerance or row["drawn_sup_error_px"] > self.tolerance for row in rows)
@@ -99,6 +103,10 @@ class _Looks:
     def __init__(self, scenes: list[Scene], views: list[View], options: Certify, run: Run) -> None:
         self._scenes, self._views, self._options, self._run = scenes, views, options, run
         self._number, self._shown = -1, Shown(scenes[0], views[0], options.tolerance)
+        certified = Certified(options.tiles, verify=options.verify)
+        asked = {"certified": certified, "slefe": Slefe(options.segments), "filip": Filip()}
+        both = [applicable(asked, scene) for scene in scenes]
+        self.methods, self.left_out = [own for own, _ in both], [note for _, note in both]
         self._factors: dict[str, Factors] = {}
         self._milliseconds: dict[str, tuple[float, float]] = {}
         self.times = Measure(("predict_ms",), lambda look: {"predict_ms": self._milliseconds[look.name][0]})
@@ -108,15 +116,8 @@ class _Looks:
         return [
             Case(f"{number} {name}", {"scene": scene.name, "method": name}, partial(self.look, number, name))
             for number, scene in enumerate(self._scenes)
-            for name in self._methods(number)
+            for name in self.methods[number]
         ]
-
-    def _methods(self, number: int) -> dict[str, Method]:
-        certified = Certified(self._options.tiles, verify=self._options.verify)
-        methods: dict[str, Method] = {"certified": certified, "slefe": Slefe(self._options.segments), "filip": Filip()}
-        if self._scenes[number].patches().shape[-1] == 4:
-            del methods["filip"]
-        return methods
 
     def look(self, number: int, name: str) -> Look:
         """One scene by one method."""
@@ -141,7 +142,7 @@ class _Looks:
             jax.block_until_ready(factors.factor)
             return factors
 
-        methods = self._methods(number)
+        methods = self.methods[number]
         self._factors = {name: predict(method) for name, method in methods.items()}
         calls = {name: partial(predict, method) for name, method in methods.items()}
         self._milliseconds = taking_turns(calls, _REPEATS)
@@ -183,27 +184,29 @@ def _by_patch(look: Look) -> Row:
 
 
 def _patch_rows(found: list[Row], tolerance: float) -> list[Row]:
-    """The certified factor, its errors and what is left of the tolerance, and the estimate's beside it."""
+    """The certified factor, its errors and what is left of the tolerance, beside the estimate's where it applies."""
     rows = []
-    for certified, slefe in zip(
-        *([row for row in found if row["method"] == name] for name in METHODS[:2]), strict=True
-    ):
-        for k, least in enumerate(certified["_minimal"]):
-            uniform, drawn = certified["_uniform"][k], certified["_drawn"][k]
+    for number, own in enumerate(found):
+        if own["method"] != "certified":
+            continue
+        beside = [row for row in found[number + 1 : number + 2] if row["method"] == "slefe"]
+        for k, least in enumerate(own["_minimal"]):
+            uniform, drawn = own["_uniform"][k], own["_drawn"][k]
+            estimate = [row[name][k] for row in beside for name in ("_factor", "_uniform", "_drawn")] or [np.nan] * 3
             rows.append(
                 {
-                    "scene": certified["scene"],
+                    "scene": own["scene"],
                     "patch": k,
-                    "factor": certified["_factor"][k],
-                    "inner_u": certified["_inner"][k][0],
-                    "inner_v": certified["_inner"][k][1],
+                    "factor": own["_factor"][k],
+                    "inner_u": own["_inner"][k][0],
+                    "inner_v": own["_inner"][k][1],
                     "minimal": least,
                     "sup_error_px": uniform,
                     "drawn_sup_error_px": drawn,
                     "slack_px": tolerance - max(uniform, drawn),
-                    "slefe_factor": slefe["_factor"][k],
-                    "slefe_sup_error_px": slefe["_uniform"][k],
-                    "slefe_drawn_sup_error_px": slefe["_drawn"][k],
+                    "slefe_factor": estimate[0],
+                    "slefe_sup_error_px": estimate[1],
+                    "slefe_drawn_sup_error_px": estimate[2],
                 }
             )
     return rows

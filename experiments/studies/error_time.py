@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import tyro
@@ -18,6 +19,7 @@ from slefejax.experiments.options import (
     LoadOptions,
     OutputOptions,
     Scenes,
+    applicable,
     check_count,
     columns_of,
     notes_of,
@@ -107,32 +109,33 @@ class ErrorTime:
         self.values()
         if not self.scenes:
             raise InputError("name at least one scene: a file, or teapot")
-        scenes = [self.loading.bezier(name) for name in self.scenes]
+        scenes = [self.loading.load(name) for name in self.scenes]
+        # those that were asked for by name are not left out silently: they are refused
+        rules = [(self.values(), "") if self.methods else applicable(METHODS, scene) for scene in scenes]
         device = open_device()
         inputs = {"scenes": [digest(s.patches().tobytes()) for s in scenes], "opengl": device.renderer}
         views = [
-            (scene, number, view)
-            for scene in scenes
+            _Seen(scene, number, view, own)
+            for scene, (own, _) in zip(scenes, rules, strict=True)
             for number, view in enumerate(cameras_around(scene, *parse_size(self.size), self.cameras, self.seed))
         ]
         with Run("error-time", {**asdict(self), "output": None}, self.output.out, inputs) as run:
-            with progress("measuring", len(views) * len(self.values())) as show:
+            with progress("measuring", sum(len(seen.rules) for seen in views)) as show:
                 looks = _Looks(views, self, run, show)
                 rows = Study(looks.cases(), (*MEASURES, looks.times)).rows(run, "measuring", show)
                 looks.release()
             write_error_against_time(run.file("error_against_time.png"), rows, self.tolerance)
             write_pixels_against_triangles(run.file("pixels_against_triangles.png"), rows, self.tolerance)
             write_triangle_sizes(run.file("triangle_sizes.png"), rows, AREAS)
-            first = {row["method_name"]: row for row in rows[: len(self.values())]}
-            panels = [(first[name], run.file(picture_name(name))) for name in self.pictures()]
+            first = {row["method_name"]: row for row in rows[: len(views[0].rules)]}
+            panels = [(first[name], run.file(picture_name(name))) for name in self.pictures() if name in first]
             write_side_by_side(run.file("side_by_side.png"), panels, self.tolerance)
             names = " ".join(scene.name for scene in scenes)
             opengl = {"renderer": device.renderer, "version": device.version}
-            out = run.finish(rows, {"scene": names, "notes": notes_of(scenes), "opengl": opengl})
+            notes = notes_of(scenes, [left for _, left in rules])
+            out = run.finish(rows, {"scene": names, "notes": notes, "opengl": opengl})
         title = f"{names}: rules for tessellation factors at {self.tolerance:g} px, {len(views)} views of {self.size}"
-        return Report(
-            names, out, summary(rows), title, notes_of(scenes), extra={"table": rows}, as_json=self.output.json
-        )
+        return Report(names, out, summary(rows), title, notes, extra={"table": rows}, as_json=self.output.json)
 
 
 def _own(name: str) -> Method:
@@ -150,14 +153,21 @@ MEASURES = (size, minimal, pixels, domain, rings, over_minimal, covering, areas)
 _TIMES = ("compile_ms", "predict_ms", "predict_spread_ms", "render_ms", "render_spread_ms")
 
 
+class _Seen(NamedTuple):
+    """A scene in a view, by the rules that take its patches."""
+
+    scene: Scene
+    camera: int
+    view: View
+    rules: dict[str, Method]
+
+
 class _Looks:
     """All rules in all views, one view after the other; the error images of the first are kept."""
 
-    def __init__(
-        self, views: list[tuple[Scene, int, View]], options: ErrorTime, run: Run, show: Callable[..., None]
-    ) -> None:
+    def __init__(self, views: list[_Seen], options: ErrorTime, run: Run, show: Callable[..., None]) -> None:
         self._views, self._options, self._run, self._show = views, options, run, show
-        self._methods, self._number, self._shown = options.values(), -1, self._of(0)
+        self._number, self._shown = -1, self._of(0)
         self._factors: dict[str, Factors] = {}
         self._times: dict[str, Row] = {}
         self.times = Measure(_TIMES, lambda look: self._times[look.name])
@@ -167,16 +177,16 @@ class _Looks:
         return [
             Case(
                 f"{number} {name}",
-                {"scene": scene.name, "camera": camera, "method_name": name, **columns_of(method)},
+                {"scene": seen.scene.name, "camera": seen.camera, "method_name": name, **columns_of(method)},
                 partial(self.look, number, name),
             )
-            for number, (scene, camera, _) in enumerate(self._views)
-            for name, method in self._methods.items()
+            for number, seen in enumerate(self._views)
+            for name, method in seen.rules.items()
         ]
 
     def look(self, number: int, name: str) -> Look:
         """One view by one rule."""
-        with naming(f"scene {self._views[number][0].name!r}"):
+        with naming(f"scene {self._views[number].scene.name!r}"):
             if number != self._number:
                 self.release()
                 self._number, self._shown = number, self._of(number)
@@ -187,21 +197,20 @@ class _Looks:
             return found
 
     def _of(self, number: int) -> Shown:
-        scene, _, view = self._views[number]
-        count = f"of {len(scene.patches()):,} minimal factors"
-        return Shown(scene, view, self._options.tolerance, lambda n: self._show(detail=f"{n:,} {count}"))
+        seen = self._views[number]
+        count = f"of {len(seen.scene.patches()):,} minimal factors"
+        return Shown(seen.scene, seen.view, self._options.tolerance, lambda n: self._show(detail=f"{n:,} {count}"))
 
     def _predict(self) -> None:
         """By all rules: first calls, then run times of rules that take turns."""
         scene, view, renderer = self._shown.scene, self._shown.view, self._shown.renderer
+        rules = self._views[self._number].rules
 
         def predict(name: str) -> Factors:
             tolerance, numbers = self._options.tolerance, scene.edge_numbers
-            return tessellation_factors(
-                scene.patches(), view, self._methods[name], tolerance=tolerance, edge_numbers=numbers
-            )
+            return tessellation_factors(scene.patches(), view, rules[name], tolerance=tolerance, edge_numbers=numbers)
 
-        calls = {name: partial(predict, name) for name in self._methods}
+        calls = {name: partial(predict, name) for name in rules}
         first = {name: max(0.0, milliseconds(call) - milliseconds(call)) for name, call in calls.items()}
         self._factors = {name: call() for name, call in calls.items()}
         draws = {}

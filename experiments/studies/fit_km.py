@@ -36,6 +36,7 @@ from slefejax.study.fitting import ESTIMATORS, TEMPERATURE, Fit, bootstrap_km, c
 from slefejax.study.samples import TWIST, Samples, measure_factors, slefe_term
 
 PUBLISHED = "1.5 … 1 [YBP14]; 1, √2 [YBP12]"
+_WHY = "k_m is fitted to the width of slefes, which are of Bézier patches"
 _CURVES, _PIECES = 20_000, 64
 _UNSEEN = ("twisted-quad", "steep-patch")
 _REPEATS = 7
@@ -84,7 +85,7 @@ class FitKm:
     def run(self) -> Report:
         """Measure, fit, compare, draw."""
         self._check()
-        scenes = _named([self.loading.bezier(name) for name in self.scenes])
+        scenes = _named([self.loading.bezier(name, _WHY) for name in self.scenes])
         inputs = {"scenes": [digest(scene.patches().tobytes()) for scene in scenes]}
         with Run("fit-km", {**asdict(self), "output": None}, self.output.out, inputs) as run:
             found = self._measure(run, scenes)

@@ -85,10 +85,15 @@ class Kernel:
 
     name: ClassVar[str]
     takes_depth: ClassVar[bool] = False
+    takes_rational: ClassVar[bool] = True
     takes_gregory: ClassVar[bool] = False
 
     def check(self, dimension: int, tolerances: Tolerances) -> None:
         """InputError for numbers out of their range, for patches of that dimension and for such tolerances."""
+        if dimension == 4 and not self.takes_rational:
+            raise InputError(
+                f"method {self.name!r} is for polynomial patches, (patches, du+1, dv+1, 3): these are rational"
+            )
         if tolerances.depth is not None and not self.takes_depth:
             raise InputError(f"method {self.name!r} knows no depth_tolerance", options=("depth_tolerance",))
 

@@ -19,7 +19,6 @@ from jaxtyping import Array, Float
 from slefejax.arguments import Number, check_positive
 from slefejax.bounds.screen import rational_boxes
 from slefejax.bounds.slefe import enclose_patch
-from slefejax.errors import InputError
 from slefejax.geometry.gregory import Twisted
 from slefejax.geometry.projection import Projection
 from slefejax.lanes.maxima import at_least, larger, largest_along, root, smallest_along
@@ -45,12 +44,7 @@ class Filip(Kernel):
     """
 
     name = "filip"
-
-    def check(self, dimension: int, tolerances: Tolerances) -> None:
-        """InputError for rational patches too."""
-        if dimension == 4:
-            raise InputError("method 'filip' bounds polynomial patches, (patches, du+1, dv+1, 3): these are rational")
-        super().check(dimension, tolerances)
+    takes_rational = False
 
     def kernel(self, control: Control, projection: Projection, tolerances: Tolerances) -> Array:
         """sqrt of the error of one piece over the tolerance."""
@@ -104,11 +98,12 @@ class EdgeLength(_WithSetting):
     """
 
     name = "edge-length"
+    takes_gregory = True  # twists are nothing on edges
     setting: Number = 8.0
 
     def kernel(self, control: Control, projection: Projection, tolerances: Tolerances) -> Array:
         """Pieces of an edge."""
-        x, y = _projected(control, projection)
+        x, y = _projected(_net(control), projection)
         edges = [(x[0], y[0]), (x[-1], y[-1]), (x[:, 0], y[:, 0]), (x[:, -1], y[:, -1])]
         # collapsed edges have no direction: their derivative counts as 0
         lengths = [jnp.sum(root(jnp.diff(a, axis=0) ** 2 + jnp.diff(b, axis=0) ** 2), axis=0) for a, b in edges]
@@ -153,8 +148,12 @@ class Fixed(_WithSetting):
 
     def kernel(self, control: Control, projection: Projection, tolerances: Tolerances) -> Array:
         """The same everywhere."""
-        own = control.net if isinstance(control, Twisted) else control
+        own = _net(control)
         return jnp.full(own.shape[-1], self.setting, own.dtype)
+
+
+def _net(control: Any) -> Control:
+    return control.net if isinstance(control, Twisted) else control
 
 
 def _projected(control: Control, projection: Projection) -> tuple[Any, Any]:

@@ -84,7 +84,8 @@ def fewer_triangles(
 ) -> Relaxed:
     """Move inner control points so that the triangles of all views become fewer, and the surface hardly changes.
 
-    patches : polynomial, ``(patches, du+1, dv+1, 3)``, of degree 2 or more in u and v
+    patches : polynomial, ``(patches, du+1, dv+1, 3)``, of degree 2 or more in u and v; no Gregory patches, which would
+              not join smoothly any more
     views   : whose sum of 2 tau^2 shall become small; of one size and one kind of camera
     within  : the largest distance from the given surface, in scene units
     turn    : the largest angle, in degrees, between the tangent planes of a patch before and after, along its sides: at
