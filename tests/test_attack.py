@@ -9,19 +9,24 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
-from slefejax import InputError, tessellation_factors
+from slefejax import GregoryPatches, InputError, tessellation_factors
+from slefejax.bounds import parts, twists
 from slefejax.experiments.attack import attack as command
+from slefejax.experiments.attack import claims as attack_claims
 from slefejax.experiments.attack import climb as attack_climb
 from slefejax.experiments.attack import settings as attack_settings
 from slefejax.experiments.attack.batch import attack
 from slefejax.experiments.attack.claims import claimed, rng_of, scene_of
+from slefejax.experiments.attack.nets import GREGORY, plane
 from slefejax.experiments.attack.offender import script
 from slefejax.experiments.attack.settings import SETTINGS
 from slefejax.experiments.attack.workers import results
 from slefejax.experiments.cli import main
+from slefejax.geometry.gregory import QUAD_TWISTS, TRIANGLE_TWISTS
 from slefejax.predict import certified, kernel
 from slefejax.tessellator.rings import Pattern, direct3d11
 from tests.test_cli import run_json
@@ -62,6 +67,47 @@ def no_rounding(monkeypatch):
     kernel.view_pass.clear_cache()
 
 
+@pytest.fixture
+def small_twist_errors(monkeypatch):
+    """A quarter of what the twists of Gregory patches err on even grids (docs/certified.md, section 10)."""
+
+    def forget():
+        for cached in (twists.even_errors, twists.on_tiles):
+            cached.cache_clear()
+        kernel.view_pass.clear_cache()
+
+    for name in ("_OF_QUAD", "_OF_TRIANGLE"):
+        monkeypatch.setattr(twists, name, 0.25 * np.array(getattr(twists, name)))
+    forget()
+    yield
+    monkeypatch.undo()
+    forget()
+
+
+@pytest.fixture
+def lone_twists(monkeypatch):
+    """Flat nets of which one corner is twisted, by anything from a tenth of their side to three sides."""
+
+    def flat(family, rng, degrees, relief, *_):
+        degree, count = GREGORY[family], len(relief)
+        turned = np.zeros((count, QUAD_TWISTS + (TRIANGLE_TWISTS if degree == 4 else 0), 3))
+        corner = rng.integers(QUAD_TWISTS if degree == 4 else 0, turned.shape[1], count)
+        turned[np.arange(count), corner] = rng.normal(size=(count, 3)) * 10.0 ** rng.uniform(-1.0, 0.5, (count, 1))
+        return GregoryPatches(np.tile(plane(degree, degree), (count, 1, 1, 1)), turned)
+
+    monkeypatch.setattr(attack_claims, "nets", flat)
+
+
+@pytest.fixture
+def nothing_missed(monkeypatch):
+    """Cells and ring triangles without what quadratics miss of twist terms (docs/certified.md, 11)."""
+    own = parts.on_box
+    monkeypatch.setattr(parts, "on_box", lambda *box: [term._replace(rest=0.0 * term.rest) for term in own(*box)])
+    jax.clear_caches()
+    yield
+    jax.clear_caches()
+
+
 def check_found(found, most):
     assert found["pairs"] <= most
     assert found["violations"] > 0
@@ -84,6 +130,11 @@ def test_a_factor_that_is_two_per_cent_too_small_is_found(too_small):
 @pytest.mark.slow
 def test_a_ring_constant_that_is_five_per_cent_too_small_is_found(short_rings):
     check_found(attack("cylinder", "drawn", 1), most=352)
+
+
+@pytest.mark.slow
+def test_lone_twists_hold(lone_twists):
+    assert attack("gregory-triangle", "drawn", 2)["violations"] == 0
 
 
 def test_rings_come_close_and_hold():
@@ -174,6 +225,29 @@ def test_an_offender_reproduces_by_itself(too_small, tmp_path):
     now = run_script(tmp_path, {**worst, "setting": "tiles-1"})
     assert now.returncode == 0, now.stderr  # the package itself asks for enough
     assert 0.5 < float(now.stdout.split()[-1]) <= 1.0
+
+
+@pytest.mark.parametrize("family", ["gregory", pytest.param("gregory-triangle", marks=pytest.mark.slow)])
+def test_twist_errors_that_are_a_quarter_are_found_and_reproduce(family, small_twist_errors, tmp_path):
+    found = attack(family, "tiles-1", 1)
+    check_found(found, most=1056)
+    worst = {**found["offenders"][0], "setting": "tiles-1"}
+    then = run_script(tmp_path, worst, "--claimed")
+    assert then.returncode == 1, then.stderr
+    assert float(then.stdout.split()[-1]) == pytest.approx(worst["ratio"], rel=1e-9)
+    now = run_script(tmp_path, worst)
+    assert now.returncode == 0, now.stderr
+    assert 0.1 < float(now.stdout.split()[-1]) <= 1.0
+
+
+@pytest.mark.slow
+def test_what_quadratics_miss_of_twists_is_found_as_drawn(lone_twists, nothing_missed, tmp_path):
+    found = attack("gregory-triangle", "drawn", 2)
+    check_found(found, most=352)
+    worst = {**found["offenders"][0], "setting": "drawn"}
+    then = run_script(tmp_path, worst, "--claimed")
+    assert then.returncode == 1, then.stderr
+    assert float(then.stdout.split()[-1]) == pytest.approx(worst["ratio"], rel=1e-9)
 
 
 @pytest.mark.slow
