@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 
 import jax
@@ -28,9 +29,12 @@ from slefejax.conversion.catmull_clark import CORNER, refine
 from slefejax.conversion.gregory import Points, eigenvalue
 from slefejax.conversion.gregory_nets import gregory_patches
 from slefejax.experiments.cli import main
+from slefejax.experiments.options import applicable
 from slefejax.geometry.bezier import combine, derivative, evaluate_patch
 from slefejax.geometry.gregory import twist_basis, twist_slopes
 from slefejax.model.mesh import Mesh
+from slefejax.predict.methods import Certified
+from slefejax.predict.rules import EdgeLength, Filip
 from slefejax.tessellator.edges import Sides
 from tests.meshes import disc, grid
 from tests.test_cli import run_json
@@ -297,6 +301,8 @@ def test_what_gregory_patches_are_not_for(tmp_path):
     view = View(scene.default_camera(), 320, 200)
     with pytest.raises(InputError, match="method 'slefe' is for Bézier patches"):
         tessellation_factors(scene.patches(), view, "slefe")
+    with pytest.raises(InputError, match="method 'slefe' is for Bézier patches"):
+        Session(scene, method="slefe").factors(view)
     with pytest.raises(InputError, match="this takes Bézier patches"):
         slefe_boxes(scene.patches(), 3)
     with pytest.raises(InputError, match=r"Gregory patches, which a \.bpt file cannot hold"):
@@ -356,15 +362,47 @@ def test_certify_leaves_out_what_is_for_bezier_patches(device, pyramid, capsys):
         assert row["slefe_factor"] is None
 
 
+@pytest.mark.slow
 @pytest.mark.gl
 def test_error_time_leaves_out_what_is_for_bezier_patches(device, pyramid, capsys):
-    asked = ("error-time", *pyramid, "--size", "120x80", "--repeats", "1")
-    found = run_json(capsys, *asked)
+    found = run_json(capsys, "error-time", *pyramid, "--size", "120x80", "--repeats", "1")
     assert [row["method"] for row in found["rows"]] == ["certified", "edge-length 8", "fixed 16"]
     assert "slefe m=6, filip, screen-box 1" in found["notes"][0]
     assert found["rows"][0]["drawn_sup_error_px"] <= 0.5
-    assert main([*asked, "--methods", "fixed 16", "slefe m=3"]) == 2
+
+
+@pytest.mark.gl
+def test_what_is_asked_for_by_name_is_not_left_out(device, pyramid, capsys):
+    assert (
+        main(["error-time", *pyramid, "--size", "120x80", "--repeats", "1", "--methods", "fixed 16", "slefe m=3"]) == 2
+    )
     assert "scene 'pyramid': method 'slefe' is for Bézier patches" in capsys.readouterr().err
+
+
+def test_which_rules_take_which_patches(teapot):
+    rules = {"certified": Certified(), "filip": Filip(), "edges": EdgeLength()}
+    weighted = np.concatenate([teapot.control, np.ones_like(teapot.control[..., :1])], axis=3)
+    rational, gregory = replace(teapot, control=weighted), load("walker", scheme="gregory")
+    assert applicable(rules, teapot) == (rules, "")
+    kinds = (rational, "polynomial patches and these are rational"), (gregory, "Bézier patches and these are Gregory")
+    for scene, said in kinds:
+        taken, note = applicable(rules, scene)
+        assert list(taken) == ["certified", "edges"]
+        assert said in note
+        assert note.endswith("ones: filip")
+
+
+@pytest.mark.slow
+@pytest.mark.gl
+def test_savings_of_what_is_for_gregory_patches(device, pyramid, capsys):
+    found = run_json(capsys, "inspect", *pyramid, "--size", "120x80", "--savings")
+    assert {row["left_out"] for row in found["savings"]} == {
+        "depth widths",
+        "skinning by one bone",
+        "view that is the same",
+    }
+    assert {row["method"] for row in found["savings"]} == {"certified"}
+    assert found["notes"][-1].endswith("Gregory ones: slefe")
 
 
 @pytest.mark.slow

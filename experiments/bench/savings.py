@@ -7,36 +7,38 @@ from typing import Any
 
 import numpy as np
 
-from slefejax import Pose, Scene, Session, View
+from slefejax import GregoryPatches, Pose, Scene, Session, View
+from slefejax.experiments.options import applicable
 from slefejax.experiments.store import Row
 from slefejax.model.rig import Rig, Skeleton
 from slefejax.model.skinning import Influences
-from slefejax.predict.methods import Options
+from slefejax.predict.methods import Certified, Options, Slefe, name_of
 from slefejax.session import PARTS
 
 _REPEATS = 15
 _DEPTH = 1e-3
-METHODS = ("certified", "slefe")
+METHODS = {"certified": Certified(), "slefe": Slefe()}
 
 
 def savings(scene: Scene, view: View) -> list[Row]:
     """One row for each thing left out, and method: milliseconds of the pose and view passes without and with it.
 
     Medians of passes whose pose and view are new, once compiled; where a pass is kept, of calls in which nothing is.
+    Methods that do not take the scene's patches have no rows.
     """
     rows = []
-    for method in METHODS:
+    for method in applicable(METHODS, scene)[0].values():
         plain = Session(scene, method=method)
         for what, other, options in _with(scene):
             asked: Options = {"method": method, **options}
             session = Session(other, **asked)
             times = _in_turn([plain, session], view)
-            rows.append({"left_out": what, "method": method, "without_ms": times[0], "with_ms": times[1]})
+            rows.append({"left_out": what, "method": name_of(method), "without_ms": times[0], "with_ms": times[1]})
         times = _in_turn([plain], view)
         rows.append(
             {
                 "left_out": "view that is the same",
-                "method": method,
+                "method": name_of(method),
                 "without_ms": _kept(plain, view),
                 "with_ms": times[0],
             }
@@ -47,7 +49,7 @@ def savings(scene: Scene, view: View) -> list[Row]:
 def _with(scene: Scene) -> list[tuple[str, Scene, Options]]:
     """Scenes and options with each thing put in that this scene has none of."""
     found: list[tuple[str, Scene, Options]] = [("depth widths", scene, {"depth_tolerance": _DEPTH})]
-    if scene.control.shape[-1] == 3 and scene.rig is None:
+    if scene.control.shape[-1] == 3 and scene.rig is None and not isinstance(scene.control, GregoryPatches):
         weighted = np.concatenate([scene.control, np.ones_like(scene.control[..., :1])], axis=3)
         found.append(("weights", replace(scene, control=weighted), {}))
     if scene.rig is None and scene.conversion is not None:

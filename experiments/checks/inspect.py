@@ -15,10 +15,17 @@ from slefejax import Scene, View, tessellation_factors
 from slefejax.conversion.acc import acc_patches
 from slefejax.conversion.patchwork import KINDS
 from slefejax.errors import InputError, NoOpenGLError
-from slefejax.experiments.bench.savings import savings
+from slefejax.experiments.bench.savings import METHODS, savings
 from slefejax.experiments.checks.limit import distance_row
 from slefejax.experiments.moves.outlines import outlines
-from slefejax.experiments.options import LoadOptions, OutputOptions, ViewOptions, camera_record, option_names
+from slefejax.experiments.options import (
+    LoadOptions,
+    OutputOptions,
+    ViewOptions,
+    applicable,
+    camera_record,
+    option_names,
+)
 from slefejax.experiments.report import Report
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.experiments.studies.measures import slips
@@ -72,6 +79,8 @@ class Inspect:
             row |= found
             notes += _unshared(row) + said
             saved = savings(scene, view) if self.savings else []
+            left = applicable(METHODS, scene)[1] if self.savings else ""
+            notes += (left,) * bool(left)
             out = run.finish([row], {"scene": scene.name, "notes": notes, "savings": saved})
         title = f"{scene.name}: {len(scene.patches()):,} patches"
         more = (("what leaving out saves: pose and view pass without and with it", saved),)

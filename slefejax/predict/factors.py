@@ -26,7 +26,7 @@ from slefejax.predict.cells import Pictured, Pictures, verified_factors
 from slefejax.predict.certificate import Certificate
 from slefejax.predict.drawn import drawn_levels, small_grids
 from slefejax.predict.kernel import Kernel, Method, Prepared, Tolerances
-from slefejax.predict.methods import METHODS, Certified, Knobs, Name, Request, name_of
+from slefejax.predict.methods import Certified, Knobs, Name, Request, name_of
 from slefejax.tessellator.edges import check_edge_numbers, edge_maxima, shared_edges
 from slefejax.tessellator.levels import with_pieces
 
@@ -233,10 +233,6 @@ def predicted(
     method, tolerances = request
     if isinstance(method, Kernel):
         prepared = Prepared.of(patches)
-        if prepared.packed.gregory and not method.takes_gregory:
-            names = ", ".join(name for name, own in METHODS.items() if own.takes_gregory)
-            said = f"method {method.name!r} is for Bézier patches: Gregory patches take {names}"
-            raise InputError(said, options=("method",))
         factor = method.factor(prepared, view, tolerances)
     else:
         prepared = patches if isinstance(patches, Prepared) else prepared_by(method, patches)

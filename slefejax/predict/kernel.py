@@ -97,6 +97,12 @@ class Kernel:
         if tolerances.depth is not None and not self.takes_depth:
             raise InputError(f"method {self.name!r} knows no depth_tolerance", options=("depth_tolerance",))
 
+    def check_kind(self, packed: Packed) -> None:
+        """InputError for Gregory patches, if the method is for Bézier patches."""
+        if packed.gregory and not self.takes_gregory:
+            said = f"method {self.name!r} is for Bézier patches, and these are Gregory patches, which 'certified' takes"
+            raise InputError(said, options=("method",))
+
     @property
     def formula(self) -> Kernel:
         """The same without what the kernel does not look at, so that it is not compiled anew for that."""
@@ -121,6 +127,7 @@ class Kernel:
         prepared = Prepared.of(prepared)
         check_view(view)
         self.check(prepared.packed.dimension, tolerances)
+        self.check_kind(prepared.packed)
         chunks = view_pass(*prepared.seen(view), *self.numbers(tolerances, prepared.packed.dtype))
         return layout.unpack(chunks, len(prepared.packed))
 

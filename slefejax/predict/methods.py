@@ -186,6 +186,7 @@ class Slefe(Kernel):
     def prepare(self, patches: Patches, /) -> Prepared:
         """Slefe boxes, as rounding leaves them, relative to a place near the patches."""
         packed = Prepared.of(patches).packed
+        self.check_kind(packed)
         first = stop_gradient(packed.chunks[0, 0, 0, :, 0])  # boxes depend on no origin
         xp = jnp if isinstance(first, Tracer) else np
         first = first[:3] / (first[3] if packed.dimension == 4 else 1.0)
