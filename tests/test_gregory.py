@@ -280,9 +280,10 @@ def test_a_session():
 
 
 @pytest.mark.slow
-def test_gradients(rng):
+@pytest.mark.parametrize("below", ["quads", "triangles"])
+def test_gradients(below, rng):
     """Factors have the derivatives that differences have."""
-    mesh = closed(5, "quads", rng)
+    mesh = closed(5, below, rng)
     table = gregory_patches(mesh)
     near = View(Camera.look_at((3.0, -4.0, 2.0), (0, 0, 0)), 640, 400)
 

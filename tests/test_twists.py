@@ -20,8 +20,8 @@ from slefejax import (
     triangulate,
 )
 from slefejax.bounds.twists import any_errors, even_errors, on_box, spreads
-from slefejax.geometry.bezier import evaluate_patch
-from slefejax.geometry.gregory import twist_basis
+from slefejax.geometry.bezier import elevate, evaluate_patch
+from slefejax.geometry.gregory import Twisted, lowered, twist_basis
 from slefejax.tessellator.rings import direct3d11
 
 SLOTS = [4, 6]
@@ -232,6 +232,44 @@ def test_factors_hold(degree, options, rng):
             fine = np.flatnonzero((levels > 0) & (levels < 300))
             assert len(fine) > 4
             assert sampled_error(patches[fine], levels[fine], view).max() <= options.get("tolerance", 0.5)
+
+
+def among_triangles(quads, others):
+    """Quads of bi-degree 3 as scenes with triangles have them, and patches of bi-degree 4 among them."""
+    net = elevate(elevate(np.moveaxis(quads.net, 0, 2), 4).swapaxes(0, 1), 4).transpose(2, 1, 0, 3)
+    twists = np.concatenate([quads.twists, np.zeros((len(quads), 2, 3))], axis=1)
+    both = np.concatenate([net, others.net]), np.concatenate([twists, others.twists])
+    order = np.arange(2 * len(quads)).reshape(2, -1).T.ravel()
+    return GregoryPatches(*(x[order] for x in both))
+
+
+@pytest.mark.parametrize("tiles", [1, 2])
+def test_quads_among_triangles(tiles, precision, rng):
+    """Their factors are those of their bi-degree 3, the others' those that they have alone; inside of jit, too."""
+    quads, others = (random_patches(rng, 40, degree).astype(precision) for degree in (3, 4))
+    view = View(Camera.look_at((2.0, -3.0, 2.5), (0, 0, 0)), 320, 200)
+    mixed = among_triangles(quads, others).astype(precision)
+    found = np.asarray(tessellation_factors(mixed, view, tiles=tiles).factor)
+    rtol = 1e-9 if precision == np.float64 else 0.02
+    np.testing.assert_allclose(found[::2], tessellation_factors(quads, view, tiles=tiles).factor, rtol=rtol)
+    # as they are, whatever stands beside them
+    np.testing.assert_allclose(found[1::2], tessellation_factors(others, view, tiles=tiles).factor, rtol=rtol)
+    traced = jax.jit(lambda given: tessellation_factors(given, view, tiles=tiles).factor)(mixed)
+    np.testing.assert_allclose(traced, found, rtol=rtol)
+
+
+def test_nets_that_are_nearly_of_bi_degree_3(rng):
+    """What more than rounding sets apart is taken as it is."""
+    quads, others = (random_patches(rng, 24, degree) for degree in (3, 4))
+    view = View(Camera.look_at((2.0, -3.0, 2.5), (0, 0, 0)), 320, 200)
+    mixed = among_triangles(quads, others)
+    for size in (1e-6, 0.3):
+        patches = GregoryPatches(mixed.net + size * rng.normal(size=mixed.net.shape), mixed.twists)
+        factors = tessellation_factors(patches, view)
+        fine = np.flatnonzero((factors.levels > 0) & (factors.levels < 300))
+        assert sampled_error(patches[fine], factors.levels[fine], view).max() <= 0.5
+    lanes = jnp.moveaxis(patches.net, 0, -1), jnp.moveaxis(patches.twists, 0, -1)
+    assert lowered(Twisted(*lanes), jnp.zeros(3))[2].all()
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ coordinates ((1-u)(1-v), (1-u) v, u), two, b = 12 a^2 b c: at the third corner t
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import Any, NamedTuple
 
 import jax
@@ -25,6 +26,7 @@ from slefejax.geometry.bezier import Values
 
 QUAD_TWISTS = 4  # at (0, 0), (1, 0), (1, 1), (0, 1)
 TRIANGLE_TWISTS = 2  # at (0, 0), (0, 1)
+_CLOSE = 16.0  # a raised net is apart from what it was raised from by less, in eps of its points' distances from 0
 
 
 class Twisted(NamedTuple):
@@ -117,6 +119,34 @@ _NO_BEZIER = (
     "these are Gregory patches, no array of Bézier points: what is asked for takes Bézier patches (the scheme 'acc');"
     " .net and .twists are the arrays"
 )
+
+
+def lowered(control: Twisted, origin: Any) -> tuple[Twisted, Any, Any]:
+    """Quads of bi-degree 4 as those of bi-degree 3 that they were raised from.
+
+    control : net ``(5, 5, 3, lanes)``, twists ``(6, 3, lanes)``, relative to the origin ``(3,)``
+
+    Returns them; how far the coefficients given are at most from theirs, but for rounding, ``(3, lanes)``; and which
+    patches are no such quads, ``(lanes,)``: triangles, and nets that more than rounding sets apart.
+
+    >>> found, apart, others = lowered(Twisted(jnp.ones((5, 5, 3, 1)), jnp.zeros((6, 3, 1))), jnp.zeros(3))
+    >>> found.net.shape, found.twists.shape, float(apart.max()), others.tolist()
+    ((4, 4, 3, 1), (4, 3, 1), 0.0, [False])
+    """
+    net, twists = control
+    rows, by_u = _lowered(net)
+    columns, by_v = _lowered(jnp.swapaxes(rows, 0, 1))
+    apart = jax.lax.stop_gradient(by_u + by_v)
+    reach = sum(jnp.abs(net[i, j]) for i in (0, -1) for j in (0, -1)) + jnp.abs(origin)[:, None]
+    wrong = [~(apart <= _CLOSE * jnp.finfo(apart.dtype).eps * reach), *(twists[QUAD_TWISTS:] != 0)]
+    others = reduce(jnp.logical_or, [own[a] for own in wrong for a in range(3)])
+    return Twisted(jnp.swapaxes(columns, 0, 1), twists[:QUAD_TWISTS]), jnp.where(others, 0.0, apart), others
+
+
+def _lowered(net: Any) -> tuple[Any, Any]:
+    """Along the first axis, and the largest size of what is then missing in the middle."""
+    near, far = (4.0 * net[1] - net[0]) / 3.0, (4.0 * net[3] - net[4]) / 3.0
+    return jnp.stack([net[0], near, far, net[4]]), jnp.max(jnp.abs(net[2] - 0.5 * (near + far)), axis=0)
 
 
 def twist_basis(slots: int, u: Values, v: Values) -> list[Values]:

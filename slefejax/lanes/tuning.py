@@ -19,6 +19,7 @@ class Tuning:
     blocks                : items of a call of which every call has another number
     cells                 : cells or triangles of a call; a program more would take longer than calls that are not full
     page                  : patches that one program finds the cells of
+    gathered              : items of a chunk that some of all items are gathered into
     most_maps             : of the 65,530 mappings of memory that Linux allows
     unrolled_coefficients : of a control net, one array each
     unrolled_boxes        : of slefes, one array each
@@ -41,6 +42,7 @@ class Tuning:
     blocks: tuple[int, ...] = (128, 1024, 8192)
     cells: int = 1024
     page: int = 1024
+    gathered: int = 512
     most_maps: int = 40_000
     unrolled_coefficients: int = 16
     unrolled_boxes: int = 25

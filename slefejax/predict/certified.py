@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from slefejax.bounds.triangles import Extent, HalfCells, Triangles, sum_of_sizes
 from slefejax.bounds.twists import any_errors, on_tiles
 from slefejax.geometry.bezier import tile_matrices
-from slefejax.geometry.gregory import Twisted
+from slefejax.geometry.gregory import Twisted, lowered
 from slefejax.geometry.projection import Projection, numbers, reaches, undivided
 from slefejax.lanes import loops, nets
 from slefejax.lanes.maxima import EXACT, Maxima, larger, smaller
@@ -35,18 +35,36 @@ _ROUNDING = 16.0  # a coefficient of a tile is wrong by at most half of this, in
 @loops.chunked
 def certified_factors(
     control: Any, projection: Projection, tolerances: Any, maxima: Maxima, *, tiles: int
-) -> Float[Array, "lanes"]:
-    """``certified_factor`` of control points in the world; called with all chunks.
+) -> tuple[Float[Array, "lanes"], Any]:
+    """``certified_factor`` of control points in the world, and of which patches it is not; called with all chunks.
 
     Differentiable in forward and reverse mode: unrolled that would take the compiler minutes.
     """
+    near, apart, others = _near(control, projection)
+    return certified_factor(near, projection, tolerances, tiles=tiles, maxima=maxima, apart=apart), others
+
+
+@certified_factors.rest
+def _as_given(control: Any, projection: Projection, tolerances: Any, maxima: Maxima, *, tiles: int) -> Array:
     return certified_factor(projection.relative(control), projection, tolerances, tiles=tiles, maxima=maxima)
 
 
 @certified_factors.slopes
 def _slopes(control: Any, _: Any, projection: Projection, tolerances: Any, maxima: Maxima, *, tiles: int) -> Array:
+    near, apart, others = _near(control, projection)
+    factor = partial(certified_factor, projection=projection, tolerances=tolerances, tiles=tiles, maxima=maxima)
+    found = factor(near, apart=apart, unrolled=False)
+    if others is None:
+        return found
+    return jnp.where(others, factor(projection.relative(control), unrolled=False), found)
+
+
+def _near(control: Any, projection: Projection) -> tuple[Any, Any, Any]:
+    """Control points relative to the origin, of quads of bi-degree 4 ``lowered`` ones, with what that returns."""
     near = projection.relative(control)
-    return certified_factor(near, projection, tolerances, tiles=tiles, maxima=maxima, unrolled=False)
+    if isinstance(near, Twisted) and len(near.net) == 5:
+        return lowered(near, projection.origin)
+    return near, None, None
 
 
 def certified_factor(
@@ -58,6 +76,7 @@ def certified_factor(
     tiles: int,
     maxima: Maxima = EXACT,
     unrolled: bool | None = None,
+    apart: Float[Array, "dim lanes"] | None = None,
 ) -> Float[Array, "lanes"]:
     """A real n >= 1 from which on the bound of docs/certified.md is at most the tolerance; 0 for an unseen patch.
 
@@ -67,13 +86,14 @@ def certified_factor(
     maxima     : those that make n: over coefficients, both ends of the picture, coordinates, tiles. Whether a patch is
                  seen, and what it reaches of the picture, is exact in any case
     unrolled   : the form of the nets; None: what suits their degrees
+    apart      : how far control points may be from those that the factor is for
     """
     if unrolled is None:
         net = control.net if isinstance(control, Twisted) else control
         few = net.shape[0] * net.shape[1] <= TUNING.unrolled_coefficients
         unrolled = bool(few and net.shape[2] == 3 and maxima.exact)
     shapes = HalfCells() if triangles is None else triangles
-    screen = Screen.of(control, projection, tolerances, unrolled)
+    screen = Screen.of(control, projection, tolerances, unrolled, apart)
     bends = [_largest_sum(net, shapes.extent, maxima) for net in (*screen.rows[:2], screen.w)]
     if screen.turns is not None:
         turned = (*screen.turns.every[:2], screen.turns.every[3])
@@ -88,10 +108,7 @@ def certified_factor(
 
 def _of_the_whole(screen: Screen, triangles: Triangles, bends: list[Lanes], maxima: Maxima) -> Lanes:
     """n^2 of patches in one piece: at least what the corners need, which is known without a second loop."""
-    table = None
-    if screen.turns is not None:
-        table = jax.tree.map(lambda x: x[0], on_tiles(screen.turns.slots, nets.degrees(screen.w)[0], 1))
-    whole = Piece.of(screen, None, table, 1)
+    whole = Piece.of(screen, None, None, 1)
     least = _least_square(screen, whole, triangles.extent, maxima)
     square = _square(screen, whole, bends[2], triangles, maxima, 1.0 / jnp.sqrt(least))
     return maxima.largest([square, jnp.where(least > 1.0, least, 0.0)])
@@ -101,13 +118,13 @@ def _of_tiles(screen: Screen, triangles: Triangles, bends: list[Lanes], maxima: 
     """The largest n^2 that a tile needs."""
     unrolled, lanes = nets.unrolled(screen.w), screen.w_size
 
-    def step(found: Lanes, given: tuple[Any, Any], which: tuple[int, ...]) -> tuple[Lanes, None]:
+    def step(found: Lanes, given: tuple[Any, Any], which: tuple[int, ...]) -> Lanes:
         if unrolled:
             # lanes all the same: with single numbers the compiler would split the loop
             given = jax.tree.map(lambda x: _numbers(x, lanes), given)
-        piece = Piece.of(screen, *given, tiles)
+        piece = Piece.of(screen, *(given if tiles > 1 else (None, given[1])), tiles)
         square = _square(screen, piece, bends[2], triangles, maxima, which=which)
-        return maxima.largest([found, smaller(square, _last_visible(screen, piece, bends))]), None
+        return maxima.largest([found, smaller(square, _last_visible(screen, piece, bends))])
 
     (du, dv), square = nets.degrees(screen.w), jnp.zeros_like(lanes)
     table = None if screen.turns is None else on_tiles(screen.turns.slots, du, tiles)
@@ -119,7 +136,7 @@ def _of_tiles(screen: Screen, triangles: Triangles, bends: list[Lanes], maxima: 
     if unrolled:
         by_loop = (every[:2], *([every[2:]] if every[2:] else [])) if screen.turns is None else [(k,) for k in every]
     for which in by_loop:
-        square, _ = jax.lax.scan(partial(step, which=which), square, given)
+        square = loops.repeated(partial(step, which=which), square, given, differentiable=not unrolled)
     return square
 
 
@@ -143,7 +160,7 @@ class Screen(NamedTuple):
     turns: Turns | None  # of Gregory patches
 
     @staticmethod
-    def of(control: Any, projection: Projection, tolerances: Any, unrolled: bool) -> Screen:
+    def of(control: Any, projection: Projection, tolerances: Any, unrolled: bool, apart: Any = None) -> Screen:
         """From control points relative to the origin. An unseen patch may count as visible, never the reverse."""
         control, twists = control if isinstance(control, Twisted) else (control, None)
         rational, (pixels, depth) = control.shape[2] == 4, tolerances
@@ -158,10 +175,13 @@ class Screen(NamedTuple):
         moved = [c + jnp.abs(o) * weight for c, o in zip(largest, projection.origin, strict=False)]
         if twists is not None:
             moved = [c + jnp.sum(jnp.abs(twists[:, a]), axis=0) for a, c in enumerate(moved)]
+        eps = float(jnp.finfo(control.dtype).eps)
+        if apart is not None:
+            # of which _ROUNDING makes what is apart, and 9.6 eps for what lowering them rounds
+            moved = [1.6 * c + x / (_ROUNDING * eps) for c, x in zip(moved, apart, strict=True)]
         largest = [*moved, largest[3] if rational else 1.0]
         *own, w_size = (nets.total([jnp.abs(m) * c for m, c in zip(row, largest, strict=True)]) for row in rows)
         sizes = [size + extent * w_size for size, extent in zip(own, half, strict=True)]
-        eps = float(jnp.finfo(control.dtype).eps)
         turns = None if twists is None else Turns.of(rows, twists)
         rooms = [] if turns is None else turns.rooms(on_tiles(turns.slots, nets.degrees(w)[0], 1).spread[0].tolist())
         inside = []
