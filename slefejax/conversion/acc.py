@@ -129,6 +129,8 @@ def edge_points(around: Neighbourhood, masks: StencilTable) -> StencilTable:
     columns = np.concatenate([corner[at_start], following[at_end]])
     shape = (2 * mesh.edge_count, masks.rows)
     smooth = StencilTable.of(rows, columns, np.ones(len(rows)), shape) @ masks
+    if not around.sharp.any():
+        return smooth.normalised()
     rows = np.concatenate([out[sharp_out], back[sharp_back]])
     near = np.concatenate([mesh.corners[sharp_out], mesh.ends[sharp_back]])
     far = np.concatenate([mesh.ends[sharp_out], mesh.corners[sharp_back]])

@@ -22,13 +22,15 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 
 from slefejax.conversion.acc import ALPHA, Neighbourhood, corner_masks, corner_points, out_and_back
 from slefejax.conversion.acc import edge_points as acc_edge_points
 from slefejax.conversion.catmull_clark import CORNER, SMOOTH, face_points, refine
 from slefejax.conversion.tangents import crease_frame
 from slefejax.model.stencils import StencilTable
+
+ROUNDING = 1e-13  # of a weight: sums that are 0 by topology have less
 
 
 class Points:
@@ -109,14 +111,16 @@ class Points:
         angle = k * 2.0 * np.pi / around.steps[fan]
         a, b = (table.take(fan) for table in self._frame)
         found = a.scaled(np.cos(angle)) + b.scaled(np.sin(angle)) + self.vertices.take(mesh.corners[corner])
-        return _instead(acc_edge_points(around, self._masks), row, found)
+        return _instead(acc_edge_points(around, self._masks), row, found.pruned(ROUNDING))
 
     @cached_property
     def _frame(self) -> tuple[StencilTable, StencilTable]:
         """A and B of every irregular fan: edge k is at p + cos(k t) A + sin(k t) B."""
         lam = eigenvalue(self.around.steps.astype(float))
-        crease_a, crease_b = self._crease_frame
         a, b = (self._waves(phase).scaled(2.0 / 3.0 * lam) for phase in (np.cos, np.sin))
+        if self.around.fans.closed.all():
+            return a, b
+        crease_a, crease_b = self._crease_frame
         return a + crease_a.scaled(1.0 / 3.0), b + crease_b.scaled(2.0 / 3.0 * lam)
 
     def _waves(self, phase: Any) -> StencilTable:
@@ -157,22 +161,26 @@ class Points:
     @cached_property
     def inside(self) -> StencilTable:
         """Of every corner the mean of both face points."""
-        plus, minus = self._weights
-        mean = (plus + minus).scaled(0.5) @ self._all
-        return _instead(self._masks.normalised(), self.odd, mean)
+        plus, minus = self._odd_faces
+        return _instead(self._masks.normalised(), self.odd, (plus + minus).scaled(0.5).pruned(ROUNDING))
 
     @cached_property
     def twists(self) -> StencilTable:
         """f along V -> W less f along V -> X, of odd corners; of the others they are equal."""
-        plus, minus = self._weights
-        return (plus - minus) @ self._all
+        plus, minus = self._odd_faces
+        return (plus - minus).pruned(ROUNDING)
 
     @cached_property
     def faces(self) -> tuple[StencilTable, StencilTable]:
         """f of every corner V, along V -> W and along V -> X."""
         masks = self._masks.normalised()
-        plus, minus = (_instead(masks, self.odd, own @ self._all) for own in self._weights)
+        plus, minus = (_instead(masks, self.odd, own) for own in self._odd_faces)
         return plus, minus
+
+    @cached_property
+    def _odd_faces(self) -> list[StencilTable]:
+        """Both face points of odd corners."""
+        return [self._all.combined(*terms) for terms in self._terms]
 
     @cached_property
     def _all(self) -> StencilTable:
@@ -180,8 +188,8 @@ class Points:
         return self._pool.stacked(self.edges, self.vertices, self._masks.take(self.odd).normalised())
 
     @cached_property
-    def _weights(self) -> tuple[StencilTable, StencilTable]:
-        """Both face points of odd corners, from all that."""
+    def _terms(self) -> list[tuple[Int[np.ndarray, "odd 7"], Float[np.ndarray, "odd 7"]]]:
+        """Both face points of odd corners: numbers of what they are made of, in all that, and weights."""
         mesh, corner = self.around.mesh, self.odd
         before, vertex = mesh.prev_corner, mesh.corners
         fixed = self.around.rule[vertex] == CORNER
@@ -193,17 +201,20 @@ class Points:
             (mesh.next_corner, out, back, mesh.edge[before], across[0], mesh.face[other[0]]),
             (before, back[before], out[before], mesh.edge, across[1], mesh.face[other[1]]),
         )
-        found = [self._face_points(corner, *(numbers[corner] for numbers in own)) for own in along]
-        count = len(corner)
-        own = np.arange(self._all.rows - count, self._all.rows)
-        plain = StencilTable.of(np.arange(count), own, np.ones(count), (count, self._all.rows))
-        both = plain.stacked(*found)
-        rows = [k * count + np.arange(count) for k in (0, 1, 2)]
-        plus = both.take(np.select(there, rows[1:], rows[0]))
-        return plus, both.take(np.select(there[::-1], rows[:0:-1], rows[0]))
+        plus, minus = (self._face_points(corner, *(numbers[corner] for numbers in own)) for own in along)
+        return [self._chosen(plus, minus, *there), self._chosen(minus, plus, *there[::-1])]
+
+    def _chosen(self, one: Any, other: Any, here: Any, there: Any) -> Any:
+        """The one where it is here, else the other where that is there, else the corners' own masks."""
+        numbers, weights = (x.copy() for x in one)
+        beside, alone = np.flatnonzero(~here & there), np.flatnonzero(~here & ~there)
+        numbers[beside], weights[beside] = (x[beside] for x in other)
+        numbers[alone] = self._all.rows - len(numbers) + alone[:, None]
+        weights[alone] = np.eye(1, weights.shape[1])
+        return numbers, weights
 
     def _face_points(self, corner: Any, last: Any, near: Any, far: Any, beside: Any, across: Any, other: Any) -> Any:
-        """f of corners along edges, from the numbers of what lies around them."""
+        """f of corners along edges, from the numbers of what lies around them: numbers and weights, seven each."""
         mesh, (middles, centroids) = self.around.mesh, self._first
         d = np.where(mesh.sizes[mesh.face[corner]] == 4, 3.0, 4.0)
         cosine = np.cos(2.0 * np.pi / self.around.steps)[self._fan]
@@ -220,9 +231,7 @@ class Points:
             (centroids + other, -2.0 * ones / 3.0),
         )
         columns, weights = (np.stack(x, axis=1) for x in zip(*terms, strict=True))
-        rows = np.repeat(np.arange(len(corner)), len(terms))
-        shape = len(corner), self._all.rows
-        return StencilTable.of(rows, columns.ravel(), (weights / d[:, None]).ravel(), shape)
+        return columns, weights / d[:, None]
 
 
 def _instead(table: StencilTable, rows: Int[np.ndarray, "n"], found: StencilTable) -> StencilTable:

@@ -13,14 +13,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from slefejax.conversion.acc import Neighbourhood, kinds, out_and_back, pinched_last, quad_net
-from slefejax.conversion.gregory import Points
+from slefejax.conversion.gregory import ROUNDING, Points
 from slefejax.conversion.patchwork import Patchwork
 from slefejax.geometry.bezier import bernstein, elevate
 from slefejax.geometry.gregory import QUAD_TWISTS, TRIANGLE_TWISTS
 from slefejax.model.mesh import Mesh
 from slefejax.model.stencils import StencilTable
 
-_ROUNDING = 1e-13  # of a weight: face points that agree by topology differ by less
 _INSIDE = 9  # of 5 x 5 points
 
 
@@ -34,21 +33,20 @@ def gregory_patches(mesh: Mesh) -> Patchwork:
     around = Neighbourhood.of(mesh)
     points = Points(around)
     own = (_cubic if mesh.sizes.min() == 4 else _quartic)(mesh, points)
-    twists = points.twists
-    largest = np.zeros(twists.rows)
-    np.maximum.at(largest, np.repeat(np.arange(twists.rows), twists.counts), np.abs(twists.matrix.data))
-    there = np.flatnonzero(largest > _ROUNDING)
+    there = np.flatnonzero(points.twists.counts)
     none = StencilTable.of([], [], [], (1, mesh.vertex_count))
-    place = np.full(len(mesh.corners) + 1, own.points.rows)
-    place[points.odd[there]] = own.points.rows + 1 + np.arange(len(there))
-    table = own.points.stacked(none, twists.take(there)).pruned(_ROUNDING)
+    first, *others = own.points
+    rows = sum(table.rows for table in own.points)
+    place = np.full(len(mesh.corners) + 1, rows)
+    place[points.odd[there]] = rows + 1 + np.arange(len(there))
+    table = first.stacked(*others, none, points.twists.take(there))
     return Patchwork(table, own.net, np.arange(mesh.face_count), kinds(around), twists=place[own.corners])
 
 
 class _Nets(NamedTuple):
     """Points, which of them every face has, and of which corner the differences are: past the last one, of none."""
 
-    points: StencilTable
+    points: tuple[StencilTable, ...]  # one table after the other
     net: Int[np.ndarray, "faces n n"]
     corners: Int[np.ndarray, "faces slots"]
 
@@ -58,8 +56,8 @@ def _cubic(mesh: Mesh, points: Points) -> _Nets:
     first = mesh.vertex_count + 2 * mesh.edge_count
     out, back = (mesh.vertex_count + rows for rows in out_and_back(mesh))
     by_face = corner.reshape(-1, 4)
-    table = points.vertices.stacked(points.edges, points.inside)
-    return _Nets(table, quad_net(mesh.corners, out, back, first + corner, by_face.T), by_face)
+    tables = points.vertices, points.edges, points.inside
+    return _Nets(tables, quad_net(mesh.corners, out, back, first + corner, by_face.T), by_face)
 
 
 def _quartic(mesh: Mesh, own: Points) -> _Nets:
@@ -73,10 +71,8 @@ def _quartic(mesh: Mesh, own: Points) -> _Nets:
     quads, triangles = np.flatnonzero(mesh.sizes == 4), np.flatnonzero(mesh.sizes == 3)
     quad_corners = mesh.offsets[:-1][quads][:, None] + np.arange(4)
     turned = pinched_last(mesh, triangles).T
-    inside = _combined(_of_quad(), _numbers(mesh, quad_corners), pool).stacked(
-        _combined(_of_triangle()[1:-1, 1:-1].reshape(_INSIDE, -1), _numbers(mesh, turned), pool)
-    )
-    points = pool.take(np.arange(first)).stacked(sides, inside)
+    of_quads = _combined(_of_quad(), _numbers(mesh, quad_corners), pool)
+    of_triangles = _combined(_of_triangle()[1:-1, 1:-1].reshape(_INSIDE, -1), _numbers(mesh, turned), pool)
     net = np.empty((mesh.face_count, 5, 5), np.int64)
     at = first + sides.rows + np.arange(mesh.face_count * _INSIDE).reshape(-1, 3, 3)
     net[np.concatenate([quads, triangles]), 1:-1, 1:-1] = at
@@ -84,7 +80,7 @@ def _quartic(mesh: Mesh, own: Points) -> _Nets:
     corners = np.full((mesh.face_count, QUAD_TWISTS + TRIANGLE_TWISTS), len(mesh.corners))
     corners[quads, :QUAD_TWISTS] = quad_corners
     corners[triangles, QUAD_TWISTS:] = turned[:, [1, 0]]
-    return _Nets(points, net, corners)
+    return _Nets((own.vertices, sides, of_quads, of_triangles), net, corners)
 
 
 def _put_sides(mesh: Mesh, net: Any, quads: Any, quad_corners: Any, turned: Any, triangles: Any) -> None:
@@ -124,10 +120,7 @@ def _combined(
 ) -> StencilTable:
     """Rows of every item: sums of its points in the pool."""
     rows, count = len(weights), len(numbers)
-    row = np.broadcast_to(np.arange(count * rows).reshape(count, rows, 1), (count, *weights.shape))
-    column = np.broadcast_to(numbers[:, None], (count, *weights.shape))
-    every = np.broadcast_to(weights, (count, *weights.shape))
-    return StencilTable.of(row.ravel(), column.ravel(), every.ravel(), (count * rows, pool.rows)) @ pool
+    return pool.combined(np.repeat(numbers, rows, axis=0), np.tile(weights, (count, 1))).pruned(ROUNDING)
 
 
 @cache

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Float, Int
-from scipy.sparse import csr_array, diags_array, eye_array, vstack
+from scipy.sparse import csr_array, eye_array, vstack
 
 from slefejax.errors import InputError
 
@@ -82,6 +82,17 @@ class StencilTable:
         """The table that does ``first`` and then this one."""
         return _clean(self.matrix @ first.matrix)
 
+    def combined(self, rows: Int[np.ndarray, "n k"], weights: Float[np.ndarray, "n k"]) -> StencilTable:
+        """Sums of k of its rows each, with these numbers and weights: a number may come twice.
+
+        >>> StencilTable.identity(2).combined(np.array([[0, 1]]), np.array([[0.25, 0.75]])).on_host([0.0, 4.0]).tolist()
+        [3.0]
+        """
+        ends = rows.shape[1] * np.arange(len(rows) + 1)
+        sums = csr_array((weights.ravel(), rows.ravel(), ends), shape=(len(rows), self.rows))
+        sums.eliminate_zeros()
+        return _clean(sums @ self.matrix)
+
     def __add__(self, other: StencilTable) -> StencilTable:
         """Outputs added up."""
         return _clean(self.matrix + other.matrix)
@@ -93,7 +104,10 @@ class StencilTable:
     def scaled(self, factors: Any) -> StencilTable:
         """Row r times ``factors[r]``, or every row times one number."""
         factors = np.broadcast_to(np.asarray(factors, np.float64), (self.rows,))
-        return _clean(diags_array(factors) @ self.matrix)
+        own = self.matrix
+        arrays = (own.data * np.repeat(factors, self.counts), own.indices, own.indptr)
+        scaled = csr_array(arrays, shape=own.shape)
+        return StencilTable(scaled) if np.all(factors) else _clean(scaled.copy())
 
     def normalised(self) -> StencilTable:
         """Every row divided by the sum of its weights, so that outputs are affine combinations."""
@@ -105,10 +119,9 @@ class StencilTable:
 
     def pruned(self, least: float) -> StencilTable:
         """Without weights of at most that size, which rounding left."""
-        matrix = self.matrix.copy()
-        matrix.data *= np.abs(matrix.data) > least
-        matrix.eliminate_zeros()
-        return StencilTable(matrix)
+        matrix, kept = self.matrix, np.abs(self.matrix.data) > least
+        ends = np.append(0, np.cumsum(kept))[matrix.indptr]
+        return StencilTable(csr_array((matrix.data[kept], matrix.indices[kept], ends), shape=matrix.shape))
 
     def take(self, rows: Any) -> StencilTable:
         """The rows of these numbers, in their order."""
