@@ -62,7 +62,7 @@ def test_installed_command_works_outside_the_checkout(site, tmp_path):
     )
     found = subprocess.run([sys.executable, "-I", "-c", code], cwd=tmp_path, capture_output=True, text=True)
     assert found.returncode == 0, found.stderr
-    assert '"sum_of_factors": 560.85' in found.stdout
+    assert '"sum_of_factors": 560.38' in found.stdout
     assert (site / "bin" / "slefejax").exists()
 
 

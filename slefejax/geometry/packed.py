@@ -16,7 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.core import Tracer
-from jaxtyping import Int
 
 from slefejax.arguments import Patches, check_patches, check_weights
 from slefejax.geometry.evaluate import as_control
@@ -58,7 +57,7 @@ class Packed:
     @cached_property
     def chunks(self) -> Any:
         """In the layout of the kernels, and in JAX's precision."""
-        return jax.tree.map(layout.pack, as_control(self.given)) if self.own is None else self.own
+        return _packed(as_control(self.given)) if self.own is None else self.own
 
     @property
     def gregory(self) -> bool:
@@ -110,7 +109,13 @@ class Packed:
         moved = Projection.of(_in_units(view, unit), self.dtype, origin * unit)
         with np.errstate(over="ignore"):  # what overflows is refused with the patch's number
             near = jax.tree.map(lambda x: x.astype(self.dtype), near)
-        return jax.tree.map(layout.pack, near), moved._replace(origin=np.zeros(3, self.dtype))
+        return _packed(near), moved._replace(origin=np.zeros(3, self.dtype))
+
+
+def _packed(control: Any) -> Any:
+    """Control points, or numbers of them, and twists if there are any, as chunks of as many lanes."""
+    nu, nv = _net(control).shape[1:3]
+    return jax.tree.map(lambda own: layout.pack(own, layout.most_lanes(nu * nv)), control)
 
 
 def _net(chunks: Any) -> Any:
@@ -144,13 +149,13 @@ def pack(patches: Patches) -> Packed:
     return Packed(given, None, len(given), given.dtype != jax.dtypes.canonicalize_dtype(given.dtype))
 
 
-def packed_numbers(net: Int[np.ndarray, "patches *rest"]) -> Int[np.ndarray, "chunks *rest lanes"]:
-    """Numbers of points, a net of them a patch, in the layout of the kernels.
+def packed_numbers(net: Any) -> Any:
+    """Numbers of points, a net of them a patch, ``Twisted`` with those of twists, in the layout of the kernels.
 
     >>> packed_numbers(np.arange(8).reshape(2, 2, 2)).shape
     (2, 2, 2, 16)
     """
-    return np.asarray(layout.pack(net.astype(np.int32)))
+    return jax.tree.map(np.asarray, _packed(jax.tree.map(lambda own: own.astype(np.int32), net)))
 
 
 def chunks_of(points: Array | np.ndarray, numbers: Any) -> Any:

@@ -26,24 +26,39 @@ from slefejax.lanes.tuning import TUNING
 _ALIGNMENT = 64  # bytes
 
 
-def _padded_shape(count: int) -> tuple[int, int]:
+def most_lanes(coefficients: int) -> int:
+    """How many patches a chunk has at most whose nets have so many coefficients: a power of two.
+
+    >>> most_lanes(16), most_lanes(100)
+    (2048, 128)
+    """
+    if coefficients <= TUNING.unrolled_coefficients:
+        return TUNING.lanes
+    return max(TUNING.fewest_lanes, min(TUNING.lanes, 1 << (TUNING.numbers // coefficients).bit_length() >> 1))
+
+
+def _padded_shape(count: int, most: int) -> tuple[int, int]:
     """(chunks, lanes) for ``count`` items: lanes are a power of two; 2, 3, 4, 6, 8, 12, 16 chunks, then 8 an octave.
 
     So at most a third of few chunks and an eighth of many are padding. Even numbers are shared by two cores.
     """
-    lanes = min(TUNING.lanes, max(TUNING.fewest_lanes, 1 << (count - 1).bit_length() >> 1))
+    lanes = min(most, max(TUNING.fewest_lanes, 1 << (count - 1).bit_length() >> 1))
     chunks = max(TUNING.fewest_chunks, -(-count // lanes))
     step = 1 << max(0, chunks.bit_length() - (2 if chunks <= TUNING.few_chunks else 4))
     return -(-chunks // step) * step, lanes
 
 
-def pack(items: Shaped[Array | np.ndarray, "count *rest"]) -> Shaped[Array, "chunks *rest lanes"]:
+def pack(
+    items: Shaped[Array | np.ndarray, "count *rest"], most: int = TUNING.lanes
+) -> Shaped[Array, "chunks *rest lanes"]:
     """Items first ``(count, *rest)`` become chunks ``(chunks, *rest, lanes)``, padded with the last item.
+
+    most : lanes of a chunk (``most_lanes``)
 
     >>> pack(np.zeros((5, 4, 4, 3))).shape  # two chunks of 16 lanes
     (2, 4, 4, 3, 16)
     """
-    chunks, lanes = _padded_shape(items.shape[0])
+    chunks, lanes = _padded_shape(items.shape[0], most)
     if not isinstance(items, Tracer):
         return jax.device_put(_packed_on_host(np.asarray(items), chunks, lanes), may_alias=True)
     padding = jnp.broadcast_to(items[-1:], (chunks * lanes - items.shape[0], *items.shape[1:]))

@@ -11,6 +11,7 @@ class Tuning:
     """Measured on CPUs of two kinds (docs/layout.md).
 
     lanes                 : patches of a chunk, whose arrays the cache holds
+    numbers               : of a net in a chunk at most, if it is not unrolled
     fewest_lanes          : of a chunk
     fewest_chunks         : at all. There are no loops over one chunk: XLA makes straight code of it, which takes twice
                             as long in gradients
@@ -35,6 +36,7 @@ class Tuning:
     """
 
     lanes: int = 2048
+    numbers: int = 16_384
     fewest_lanes: int = 16
     fewest_chunks: int = 2
     few_chunks: int = 16

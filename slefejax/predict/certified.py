@@ -28,7 +28,10 @@ from slefejax.lanes.tuning import TUNING
 
 Hessian = tuple[Net | None, ...]  # uu, uv, vv
 
-_THIRD = ((3, 0, 1.0), (2, 1, 3.0), (1, 2, 3.0), (0, 3, 1.0))  # d/du, d/dv, multiplicity
+# d/du, d/dv, multiplicity
+_THIRD = ((3, 0, 1.0), (2, 1, 3.0), (1, 2, 3.0), (0, 3, 1.0))
+_FOURTH = ((4, 0, 1.0), (3, 1, 4.0), (2, 2, 6.0), (1, 3, 4.0), (0, 4, 1.0))
+_TURNS = 2  # towards the n that a tile needs
 _ROUNDING = 16.0  # a coefficient of a tile is wrong by at most half of this, in eps of the sum of its terms' sizes
 
 
@@ -98,7 +101,9 @@ def certified_factor(
     if screen.turns is not None:
         turned = (*screen.turns.every[:2], screen.turns.every[3])
         bends = [b + screen.turns.bend(own, shapes) for b, own in zip(bends, turned, strict=True)]
-    of_pieces = _of_the_whole if tiles == 1 and screen.turns is None else partial(_of_tiles, tiles=tiles)
+    # in one piece and unrolled it is for speed: turns towards n would be as dear as all the rest
+    quick = tiles == 1 and screen.turns is None and nets.unrolled(screen.w)
+    of_pieces = _of_the_whole if quick else partial(_of_tiles, tiles=tiles)
     square = of_pieces(screen, shapes, bends, maxima)
     rounded = 1.0 + 128.0 * screen.eps
     # a bound that 1 fulfils is not rounded up: flat patches are one quad
@@ -285,31 +290,50 @@ class Piece(NamedTuple):
 
 
 class Remainder(NamedTuple):
-    """Bounds of the higher derivatives of g_s over a patch, for s in an interval."""
+    """Bounds of the higher derivatives of g_s, for s in an interval, over the least W."""
 
     along_u: Lanes  # |g_uuu| e_u^3 + 3 |g_uuv| e_u^2 e_v
     along_v: Lanes  # |g_vvv| e_v^3 + 3 |g_uvv| e_u e_v^2
     fourth: Lanes  # over 288
 
 
-def _remainder(row: list[Net], w: list[Net], ends: tuple[Lanes, Lanes], extent: Extent, maxima: Maxima) -> Remainder:
-    """The fourth derivatives are differences of the third, times a degree: bounded by twice as much.
+def _remainder(screen: Screen, piece: Piece, k: int, extent: Extent, maxima: Maxima) -> Remainder:
+    """Of a row. The fourth ones over the whole patch, the third, too, where it is polynomial, which is cheaper.
 
-    row, w : the polynomials and their third differences
+    The third ones of rational patches are joint bounds over the piece: coefficient by coefficient over that of W.
     """
-    tops, (du, dv) = [], nets.degrees(row[0])
-    for (i, j, times), own, depth in zip(_THIRD, row[1:], w[1:], strict=True):
+    ends = piece.ends[k]
+    middle, reach = 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
+    degrees = nets.degrees(screen.w)
+
+    def thirds(row: Net, w: Net) -> tuple[list[Net], list[Net]]:
+        about = nets.each(lambda x, y: x - middle * y, row, w)
+        one, other = ([nets.differences(net, i, j) for i, j, _ in _THIRD] for net in (about, w))
+        return one, other
+
+    def sizes(about: Net, w: Net, kind: tuple[int, int, float]) -> Net:
+        """Of derivatives at both ends of s, times the extents and how often they count."""
+        (i, j, times), (du, dv) = kind, degrees
         scale = times * perm(du, i) * perm(dv, j) * extent[0] ** i * extent[1] ** j
-        tops.append(scale * _largest_at(ends, own, depth, maxima) if nets.size(own) else jnp.zeros_like(ends[0]))
-    uuu, uuv, uvv, vvv = tops
-    by_u = max(du - 3, 0) * extent[0] * uuu + (4 * (du - 2) * extent[0] / 3 + (dv - 1) * extent[1]) * uuv
-    by_v = max(dv - 3, 0) * extent[1] * vvv + (4 * (dv - 2) * extent[1] / 3 + (du - 1) * extent[0]) * uvv
-    return Remainder(uuu + uuv, vvv + uvv, (by_u + by_v) / 144.0)
+        return nets.each(lambda x, y: scale * (jnp.abs(x) + reach * jnp.abs(y)), about, w) if nets.size(w) else w
 
+    def tops(about: list[Net], w: list[Net], kinds: Any) -> list[Lanes]:
+        found = [sizes(*own) for own in zip(about, w, kinds, strict=True)]
+        return [nets.top(net, maxima) * piece.widest if nets.size(net) else jnp.zeros_like(reach) for net in found]
 
-def _third_differences(net: Net) -> list[Net]:
-    """The net, and its differences of third order."""
-    return [net, *(nets.differences(net, i, j) for i, j, _ in _THIRD)]
+    own, depth = thirds(screen.rows[k], screen.w)
+    more = [[nets.differences(net[0], 1, 0), *(nets.differences(x, 0, 1) for x in net)] for net in (own, depth)]
+    fourth = nets.total(tops(more[0], more[1], _FOURTH)) / 288.0
+    if not screen.rational:
+        uuu, uuv, uvv, vvv = tops(own, depth, _THIRD)
+        return Remainder(uuu + uuv, vvv + uvv, fourth)
+    own, depth = thirds(piece.rows[k], piece.w)
+    found = [sizes(*each) for each in zip(own, depth, _THIRD, strict=True)]
+    nothing = nets.each(jnp.zeros_like, piece.w)
+    raised = [nets.raised(net, *degrees) if nets.size(net) else nothing for net in found]
+    along = [nets.each(lambda x, y, i: (x + y) * i, *two, piece.inverse) for two in (raised[:2], raised[2:])]
+    along_u, along_v = (nets.top(net, maxima) * piece.scale**1.5 for net in along)
+    return Remainder(along_u, along_v, fourth)
 
 
 def _least_square(screen: Screen, whole: Piece, extent: Extent, maxima: Maxima) -> Lanes:
@@ -345,13 +369,13 @@ def _square(
     inverse : 1/n is at most that; None: what the second derivatives say
     which   : of the rows are looked at; None: all
     """
-    depth, w = _hessian(piece.w, triangles.extent), _third_differences(screen.w)
+    depth = _hessian(piece.w, triangles.extent)
     degree = sum(nets.degrees(piece.w))
     rounding = 2.0 * _ROUNDING * screen.eps * (degree**2 / 8.0 + degree**3 / 24.0 + degree**4 / 72.0)
     squares = []
     for k in range(len(piece.rows)) if which is None else which:
         row, ends, size = piece.rows[k], piece.ends[k], screen.sizes[k]
-        remainder = _remainder(_third_differences(screen.rows[k]), w, ends, triangles.extent, maxima)
+        remainder = _remainder(screen, piece, k, triangles.extent, maxima)
         hessian = _hessian(row, triangles.extent)
         more = None if screen.turns is None else screen.turns.errors(k, piece, triangles)
         tops = [nets.top(_measured(triangles, s, hessian, depth, piece.inverse, maxima, more), maxima) for s in ends]
@@ -360,13 +384,39 @@ def _square(
             followed = _followed(screen, piece, row, size, triangles, maxima)
             second = jnp.where(piece.within[k], smaller(second, followed), second)
         second = second * piece.scale
-        upper = 1.0 / jnp.sqrt(larger(second / 8.0, jnp.ones_like(second))) if inverse is None else inverse
         third, least = triangles.third(remainder.along_u, remainder.along_v, maxima)
-        if least is not None:
-            second = maxima.largest([second, least * piece.widest * upper])
-        rest = (third + remainder.fourth * upper) * upper + w_bend / 8.0 + rounding * size
-        squares.append(second / 8.0 + rest * piece.widest)
+        rest = (w_bend / 8.0 + rounding * size) * piece.widest
+        terms = Terms(second, third, remainder.fourth, least, rest)
+        squares.append(_solved(terms, maxima) if inverse is None else terms.square(inverse, maxima))
     return maxima.largest(squares)
+
+
+class Terms(NamedTuple):
+    """n^2 is to be at least second/8 + third/n + fourth/n^2 + rest, and second at least ``least``/n."""
+
+    second: Lanes
+    third: Lanes
+    fourth: Lanes
+    least: Lanes | None
+    rest: Lanes
+
+    def square(self, over_n: Lanes, maxima: Maxima) -> Lanes:
+        """The right side for some 1/n: too large for 1/n that is too large."""
+        second = self.second if self.least is None else maxima.largest([self.second, self.least * over_n])
+        return second / 8.0 + (self.third + self.fourth * over_n) * over_n + self.rest
+
+
+def _solved(terms: Terms, maxima: Maxima) -> Lanes:
+    """The least n^2 that is enough, or a little more.
+
+    What comes of an n that is too large is too small, and the other way round: in turns, both come nearer.
+    """
+    # each root ends a loop of the compiler's, and the next one would begin with all that terms are made of
+    terms = loops.once(terms)
+    square = terms.second / 8.0  # less than what is enough
+    for _ in range(2 * _TURNS + 1):
+        square = terms.square(1.0 / jnp.sqrt(larger(square, jnp.ones_like(square))), maxima)
+    return square
 
 
 def _followed(screen: Screen, piece: Piece, row: Net, size: Lanes, triangles: Triangles, maxima: Maxima) -> Lanes:
@@ -439,11 +489,6 @@ def _largest_sum(net: Net, extent: Extent, maxima: Maxima) -> Lanes:
     parts = _plain_hessian(net, extent)
     tops: list[Any] = [nets.top(nets.each(jnp.abs, part), maxima) if nets.size(part) else None for part in parts]
     return sum_of_sizes(tops[0], tops[1], tops[2])
-
-
-def _largest_at(ends: tuple[Lanes, Lanes], own: Net, depth: Net, maxima: Maxima) -> Lanes:
-    """The largest size of coefficients of own - s depth at both ends of an interval for s."""
-    return maxima.largest([nets.top(nets.each(lambda x, y, s=s: jnp.abs(x - s * y), own, depth), maxima) for s in ends])
 
 
 def _measured(
