@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,11 +19,13 @@ from slefejax.errors import InputError
 from slefejax.framing import clipping_planes
 from slefejax.geometry.gregory import GregoryPatches
 from slefejax.geometry.view import Camera, View, bounding_sphere
+from slefejax.io.content import read_bytes
+from slefejax.loading import load
 from slefejax.model.rig import Deformation
 from slefejax.model.skinning import dual_quaternion_blend, linear_blend
 from slefejax.predict.kernel import Method
 from slefejax.predict.methods import Options, Request, method_of, name_of
-from slefejax.scene import Scene, load
+from slefejax.scene import Scene
 
 Three = tuple[float, float, float]
 Scenes = Annotated[
@@ -90,12 +93,18 @@ class LoadOptions:
 
     scheme: str = "auto"
     """acc (quads), pinched (quads and triangles), bspline (regular meshes), catmull-clark+acc (any polygons), gregory
-    and catmull-clark+gregory (smooth across edges); auto takes the first of acc, pinched, catmull-clark+acc that can do
-    with the faces. Or one's own: my_module:MyScheme."""
+    and catmull-clark+gregory (smooth across edges), gaussian (Gaussian products); auto takes the last where there are
+    covariances, else the first of acc, pinched, catmull-clark+acc that can do with the faces. Or one's own:
+    my_module:MyScheme."""
     alpha: float = ALPHA
     """Of triangles: the weight of a neighbour."""
     steps: int | None = None
-    """Of catmull-clark+acc and +gregory: steps of subdivision, each with four times as many patches; 1 if not given."""
+    """Of catmull-clark+acc and +gregory: steps of subdivision, each with four times as many patches; 1 if not given.
+    Of gaussian: 0 if not given."""
+    gaussians: str | None = None
+    """Of the scheme gaussian: infer, a radius in the file's units, or an .npy file of covariances (vertices, 3, 3)."""
+    allow_thin: bool = False
+    """Of the scheme gaussian: take patches whose weights differ by more than 10^6."""
     group: tuple[str, ...] = ()
     """Of .obj files: only faces of these groups or objects."""
     drop_defects: bool = False
@@ -123,6 +132,8 @@ class LoadOptions:
             "animation": self.animation,
             "copies": self.copies,
             "weld": self.weld,
+            "gaussians": gaussians_of(self.gaussians),
+            "allow_thin": self.allow_thin,
             **own,
         }
 
@@ -221,6 +232,23 @@ class PredictionOptions:
     def left_out(self, scene: Scene) -> tuple[str, ...]:
         """What is not computed because the scene has no need of it or it was not asked for; a sentence each."""
         return (*scene.left_out(), *self.request(scene).left_out())
+
+
+def gaussians_of(text: str | None) -> Any:
+    """What ``--gaussians`` names. Raises InputError for a file that holds no array, and for what is none of all."""
+    if text is None or text == "infer":
+        return text
+    if not text.endswith(".npy"):
+        try:
+            return float(text)
+        except ValueError:
+            said = f"--gaussians is infer, a radius or an .npy file, not {text!r}"
+            raise InputError(said, options=("gaussians",)) from None
+    data = read_bytes(Path(text))
+    try:
+        return np.load(io.BytesIO(data), allow_pickle=False)
+    except (ValueError, EOFError, OSError):
+        raise InputError(f"{text} is no .npy file of numbers, or not whole", options=("gaussians",)) from None
 
 
 def columns_of(method: Method) -> dict[str, Any]:

@@ -19,6 +19,7 @@ _SAYS = {
     "conversion": "mesh to patches",
     "io": "a format a file",
     "data": "scenes that ship",
+    "loading": "files, scenes",
     "scene": "what a file becomes",
     "predict": "methods: patches to factors",
     "measure": "the error of what is drawn",

@@ -24,6 +24,7 @@ from slefejax.geometry.packed import pack
 from slefejax.geometry.view import Camera, View
 from slefejax.lanes.programs import keep_programs
 from slefejax.late import one_at_a_time
+from slefejax.loading import load, save
 from slefejax.measure.covering import covering_error
 from slefejax.measure.error import drawn_error, pixel_error
 from slefejax.measure.jumps import edge_turns
@@ -31,12 +32,13 @@ from slefejax.measure.limit import LimitDistance, limit_distance
 from slefejax.measure.minimal import minimal_factors, minimal_pairs
 from slefejax.measure.supremum import sampled_error, worst_points
 from slefejax.measure.triangles import triangle_error
+from slefejax.model.gaussians import Gaussians, covariance_parameters, covariances
 from slefejax.model.mesh import Mesh
 from slefejax.model.rig import Pose
 from slefejax.model.skinning import dual_quaternion_blend, linear_blend
 from slefejax.predict import methods
 from slefejax.predict.factors import Factors, tessellation_factors
-from slefejax.scene import Scene, load, save
+from slefejax.scene import Scene
 from slefejax.session import Session
 from slefejax.study.budget import Budget, distance_for_budget, real_triangles, tolerance_for_budget
 from slefejax.study.deviation import side_turns, surface_distance
@@ -68,6 +70,7 @@ __all__ = [
     "Conversion",
     "Factors",
     "Fit",
+    "Gaussians",
     "GregoryPatches",
     "InputError",
     "LimitDistance",
@@ -88,6 +91,8 @@ __all__ = [
     "bspline_slefe_boxes",
     "cameras_around",
     "convert",
+    "covariance_parameters",
+    "covariances",
     "covering_error",
     "curve_constant",
     "distance_for_budget",

@@ -20,11 +20,13 @@ import numpy as np
 from jax.core import Tracer
 
 from slefejax.arguments import check_weights
+from slefejax.conversion.gaussian.products import Products
 from slefejax.errors import InputError
 from slefejax.geometry.packed import Packed, chunks_of, pack
 from slefejax.geometry.projection import Projection
 from slefejax.geometry.view import View, check_view
 from slefejax.lanes.memory import Memory
+from slefejax.model.gaussians import check_covariances
 from slefejax.model.rig import Deformation, Pose, check_time
 from slefejax.model.skinning import Influences
 from slefejax.model.stencils import StencilTable
@@ -40,11 +42,12 @@ PARTS = ("skinning and conversion", "slefe boxes", "view")
 class _Tables(NamedTuple):
     """What the pose pass works with; None for what a scene does not have."""
 
-    rest: Any  # (vertices, 3)
+    rest: Any  # (vertices, 3), or Gaussians
     keys: StencilTable | None
     influences: StencilTable | None
     first: StencilTable | None
     points: StencilTable
+    products: Products | None
     net: Any  # (chunks, nu, nv, lanes)
 
 
@@ -121,7 +124,7 @@ class Session:
 
     @property
     def moves(self) -> bool:
-        """Whether the scene has a rig: otherwise there is one pose only."""
+        """Whether the scene has a rig, or covariances: otherwise there is one pose only."""
         return self._tables is not None
 
     def factors(self, view: View, pose: Any = None) -> Factors:
@@ -174,7 +177,8 @@ class Session:
         check_view(view)
         chunks, at = self._chunks(), self._checked(pose)
         if self.moves:
-            found["skinning and conversion"], chunks = jax.make_jaxpr(self._move, return_shape=True)(self._tables, at)
+            with self.scene.conversion.precision():  # type: ignore[union-attr]
+                found[PARTS[0]], chunks = jax.make_jaxpr(self._move, return_shape=True)(self._tables, at)
         method, tolerances = self.request
         if not isinstance(method, Kernel):
             return found
@@ -196,19 +200,22 @@ class Session:
 
     def _make_tables(self) -> _Tables | None:
         scene = self.scene
-        if scene.rig is None or scene.conversion is None:
+        if self.scene.mover is None or scene.conversion is None:
             return None
-        work, rig = scene.conversion.patchwork, scene.rig
+        work, rig = scene.conversion.patchwork, self.scene.mover
         tables = _Tables(
-            scene.conversion.mesh.vertices,
+            scene.conversion.control,
             rig.keys.table if rig.keys else None,
             rig.influences.table if rig.influences else None,
             work.first,
             work.points,
+            work.products,
             work.packed_net,
         )
-        floating = lambda x: jnp.issubdtype(x.dtype, jnp.floating)  # noqa: E731
-        return jax.tree.map(lambda x: jnp.asarray(x, self._dtype) if floating(x) else jnp.asarray(x), tables)
+        floating = lambda x: jnp.issubdtype(jnp.result_type(x), jnp.floating)  # noqa: E731
+        with scene.conversion.precision():
+            dtype = self._dtype if work.products is None else jnp.float64
+            return jax.tree.map(lambda x: jnp.asarray(x, dtype) if floating(x) else jnp.asarray(x), tables)
 
     def _chunks(self) -> Any:
         """The control points of a scene that does not move, in the layout of the kernels."""
@@ -218,9 +225,12 @@ class Session:
         """What the pose pass takes: a Pose, or a number."""
         if pose is not None and not isinstance(pose, Pose):
             check_time(pose)
-        rig = self.scene.rig
+        rig = self.scene.mover
         if rig is None or not self.moves:
             return None
+        if isinstance(pose, Pose) and pose.covariances is not None and self.scene.conversion is not None:
+            mesh = self.scene.conversion.mesh
+            pose = pose._replace(covariances=check_covariances(pose.covariances, mesh.vertex_count))
         if pose is None or rig.motion is None or isinstance(pose, Pose):
             found = rig.check(pose if isinstance(pose, Pose) else Pose())
             return jax.tree.map(lambda x: np.asarray(x, np.float64), found)
@@ -232,7 +242,7 @@ class Session:
         at = self._checked(pose)
         if self._prepared is not None and self._at is not None and _same(self._at, at):
             return False
-        chunks = self._timed(PARTS[0], lambda: self._pose_pass(self._tables, at) if self.moves else self._chunks())
+        chunks = self._timed(PARTS[0], lambda: self._moved(at) if self.moves else self._chunks())
         packed = Packed.made(chunks, len(self.scene.control), rounded=self.scene.control.dtype != self._dtype)
         prepared = self._timed(PARTS[1], lambda: prepared_by(self.request.method, packed))
         if prepared.made is None:
@@ -242,17 +252,25 @@ class Session:
         self._patches = self._seen = None
         return True
 
+    def _moved(self, at: Any) -> Any:
+        """What the pose pass makes, in the precision that it needs."""
+        assert self.scene.conversion is not None
+        with self.scene.conversion.precision():
+            return self._pose_pass(self._tables, at)
+
     def _move(self, tables: _Tables, at: Any) -> Any:
         """The pose pass: shape keys, skinning, conversion, into the layout of the kernels."""
-        rig = self.scene.rig
+        rig, conversion = self.scene.mover, self.scene.conversion
         assert rig is not None
+        assert conversion is not None
         keys = None if rig.keys is None else replace(rig.keys, table=tables.keys)
         influences = None if tables.influences is None else Influences(tables.influences)
         rig = replace(rig, keys=keys, influences=influences)
         pose = rig.check(at if isinstance(at, Pose) else rig.pose(at))
-        pose = jax.tree.map(lambda x: x.astype(self._dtype), pose)
-        vertices = rig.posed(tables.rest, pose, self._deform)
-        return chunks_of(tables.points(vertices if tables.first is None else tables.first(vertices)), tables.net)
+        pose = jax.tree.map(lambda x: x.astype(jax.tree.leaves(tables.rest)[0].dtype), pose)
+        work = replace(conversion.patchwork, first=tables.first, points=tables.points, products=tables.products)
+        points = work.control_points(rig.posed(tables.rest, pose, self._deform))
+        return chunks_of(points.astype(self._dtype), tables.net)
 
     def _still_known(self, view: View) -> _Known:
         """What is known of the levels of the patches that are now to be seen so."""

@@ -12,7 +12,7 @@ from slefejax import InputError, load, save
 from slefejax.geometry.bezier import evaluate_patch, from_triangle
 from slefejax.io.bv import read_bv
 from slefejax.io.obj import read_obj
-from slefejax.scene import read
+from slefejax.loading import read
 
 
 def write(tmp_path, name, content):

@@ -25,7 +25,7 @@ from slefejax.io.limits import (
     check_numbers,
     check_spline,
 )
-from slefejax.scene import read
+from slefejax.loading import read
 from tests.test_makehuman import BVH
 
 

@@ -12,7 +12,7 @@ from slefejax import InputError, load
 from slefejax.geometry.bezier import evaluate_patch
 from slefejax.io.rhino import blocks as rhino_blocks
 from slefejax.io.rhino.blocks import Blocks
-from slefejax.scene import read
+from slefejax.loading import read
 from tests.meshes import cube
 from tests.test_io import faces, polygons, write
 

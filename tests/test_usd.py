@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slefejax import InputError, load
-from slefejax.scene import read
+from slefejax.loading import read
 from tests.meshes import cube
 from tests.test_io import faces, polygons, write
 

@@ -32,15 +32,15 @@ from slefejax.experiments.studies.measures import slips
 from slefejax.figures.checks.inspect import Panels, write_inspect_figure
 from slefejax.gpu import Renderer, open_device
 from slefejax.io.content import Y_UP, Z_UP, Content
+from slefejax.loading import BUILT_IN, read
 from slefejax.measure.error import drawn_error
 from slefejax.model.defects import find_defects, isolated_vertices
 from slefejax.model.mesh import Mesh
-from slefejax.scene import BUILT_IN, read
 from slefejax.tessellator.coincidence import coincident_sides
 from slefejax.tessellator.edges import collapsed
 from slefejax.tessellator.levels import HIGHEST_LEVEL, triangle_counts
 
-_MOST_COMPARED = 5_000  # patches: of more it would take long to know how far the limit surface is
+_MOST_COMPARED = 80_000  # control points: of more it would take long to know how far the limit surface is
 _SAY_UP = (".usd", ".usda", ".usdc", ".usdz", ".gltf", ".glb", ".json", ".3dm")
 
 
@@ -70,7 +70,7 @@ class Inspect:
             return self._refused(content, row, error.typed(option_names(self)))
         row |= patch_row(scene) | rig_row(scene) | {"up": _up(scene, Path(self.scene))}
         view = self.camera.view(scene)
-        if scene.conversion is not None and len(scene.patches()) <= _MOST_COMPARED:
+        if scene.conversion is not None and np.prod(scene.patches().shape[:3]) <= _MOST_COMPARED:
             row |= distance_row(scene, view)
         arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
         with Run("inspect", arguments, self.output.out, {"scene": digest(scene.patches().tobytes())}) as run:

@@ -39,14 +39,14 @@ FRAMES = np.array([[[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0,
 class LimitSurface:
     """Patches of the limit surface of a mesh. Make it with ``limit_surface``.
 
-    net     : ``(patches, 4, 4, 3)``, bicubic
+    net     : ``(patches, 4, 4, 3)``, bicubic; of Gaussian products ``(patches, 10, 10, 4)``
     face    : ``(patches,)``, the face of the mesh that each lies in, level : how often it was divided
     origin  : ``(patches, 2)``, frame ``(patches, 2, 2)``: (u, v) of the face = origin + frame (s, t) of the patch, if
               the face is a quad; u runs from its first vertex to its second
     regular : ``(faces,)``, which faces are one patch, exactly
     """
 
-    net: Float[np.ndarray, "patches 4 4 3"]
+    net: Float[np.ndarray, "patches nu nv dim"]
     face: Int[np.ndarray, "patches"]
     level: Int[np.ndarray, "patches"]
     origin: Float[np.ndarray, "patches 2"]

@@ -9,11 +9,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
+from slefejax.conversion.gaussian.products import Products
 from slefejax.geometry.gregory import GregoryPatches, Twisted
 from slefejax.geometry.packed import chunks_of, packed_numbers
+from slefejax.model.gaussians import Gaussians
 from slefejax.model.stencils import StencilTable
 from slefejax.tessellator.edges import Sides
 
@@ -24,7 +27,8 @@ KINDS = ("regular", "extraordinary", "boundary", "crease", "triangle", "spline",
 class Patchwork:
     """How patches are made of control points.
 
-    points : table from control points to the different control points of all patches
+    points : table from control points to the different control points of all patches; of Gaussian products, from q of
+             vertices to that of bicubic patches
     net    : ``(patches, du+1, dv+1)``, which of them each patch has
     faces  : ``(patches,)``, the face of the control mesh (or the surface) that each patch comes from
     kinds  : ``(patches,)``, numbers in KINDS
@@ -32,6 +36,8 @@ class Patchwork:
              have twice the weights
     twists : of Gregory patches: ``(patches, slots)``, which rows of ``points`` their twists are
              (``slefejax.geometry.gregory``); None of Bézier patches
+    products : of Gaussian products: what makes control points of rational patches of ``Gaussians`` and of rows of
+             ``points`` (``slefejax.conversion.gaussian.products``); None of others
     """
 
     points: StencilTable
@@ -40,18 +46,20 @@ class Patchwork:
     kinds: Int[np.ndarray, "patches"]
     first: StencilTable | None = None
     twists: Int[np.ndarray, "patches slots"] | None = None
+    products: Products | None = None
 
     def patches(self, control: Any) -> Any:
         """Control points of all patches by JAX: ``(inputs, dim)`` to ``(patches, du+1, dv+1, dim)``; differentiable.
 
-        ``GregoryPatches`` of those.
+        ``GregoryPatches`` of those. Of Gaussian products control are ``Gaussians``, with double precision.
         """
-        return self._of(self._points(control))
+        return self._of(self.control_points(control))
 
     def on_host(self, control: Any) -> Any:
         """The same in float64 by NumPy alone."""
-        control = control if self.first is None else self.first.on_host(control)
-        return self._of(self.points.on_host(control))
+        control = control if self.products is None else self.products.dual(Gaussians(*map(np.asarray, control)))
+        points = self.points.on_host(control if self.first is None else self.first.on_host(control))
+        return self._of(points if self.products is None else self.products(points))
 
     def _of(self, points: Any) -> Any:
         net = points[self.net]
@@ -60,15 +68,17 @@ class Patchwork:
     @cached_property
     def packed_net(self) -> Any:
         """``net``, and twists if there are any, in the layout of the kernels."""
-        net = packed_numbers(self.net)
-        return net if self.twists is None else Twisted(net, packed_numbers(self.twists))
+        return packed_numbers(self.net if self.twists is None else Twisted(self.net, self.twists))
 
     def packed(self, control: Any) -> Any:
         """The same by JAX in the layout of the kernels, ``(chunks, du+1, dv+1, dim, lanes)`` (``lanes.layout``)."""
-        return chunks_of(self._points(control), self.packed_net)
+        return chunks_of(self.control_points(control), self.packed_net)
 
-    def _points(self, control: Any) -> Any:
-        return self.points(control if self.first is None else self.first(control))
+    def control_points(self, control: Any) -> Any:
+        """All different control points, by JAX."""
+        control = control if self.products is None else self.products.dual(Gaussians(*map(jnp.asarray, control)))
+        points = self.points(control if self.first is None else self.first(control))
+        return points if self.products is None else self.products(points)
 
     @cached_property
     def sides(self) -> Sides:

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Int
 
 from slefejax.arguments import check_choice, check_positive, imported, is_whole, no_such
 from slefejax.conversion.acc import ALPHA, Neighbourhood, acc_patches
 from slefejax.conversion.catmull_clark import CORNER, refine
+from slefejax.conversion.gaussian.products import Dual, Products
 from slefejax.conversion.gregory_nets import gregory_patches
 from slefejax.conversion.limit import LimitSurface, irregular_corner, limit_surface, smooth_sides
 from slefejax.conversion.natural import natural_grids
 from slefejax.conversion.patchwork import Patchwork
 from slefejax.conversion.tangents import tangent_tables
 from slefejax.errors import InputError
+from slefejax.model.gaussians import Gaussians
 from slefejax.model.mesh import Mesh
 from slefejax.model.stencils import StencilTable
 
@@ -51,8 +55,30 @@ class Conversion:
     @cached_property
     def limit(self) -> LimitSurface:
         """The limit surface that patches approximate, of the vertices of ``mesh``; its faces are those of ``finer``."""
-        first, vertices = self.patchwork.first, self.mesh.vertices
-        return limit_surface(replace(self.finer, vertices=vertices if first is None else first.on_host(vertices)))
+        work, vertices = self.patchwork, self.mesh.vertices
+        inputs = vertices if work.products is None else work.products.dual(self.control)
+        inputs = inputs if work.first is None else work.first.on_host(inputs)
+        if work.products is None:
+            return limit_surface(replace(self.finer, vertices=inputs))
+        # subdivision is linear: three of the nine coordinates at a time
+        parts = [limit_surface(replace(self.finer, vertices=inputs[:, k : k + 3])) for k in (0, 3, 6)]
+        nets = np.concatenate([part.net for part in parts], axis=3)
+        return replace(parts[0], net=work.products.patches_of(nets))
+
+    @property
+    def control(self) -> Any:
+        """What ``patchwork`` makes patches of: ``mesh.vertices``, or ``Gaussians`` of these."""
+        return self.moved(self.mesh.vertices)
+
+    def moved(self, vertices: Any, covariances: Any = None) -> Any:
+        """The same of other positions, and of other covariances than the mesh's own."""
+        if self.patchwork.products is None:
+            return vertices
+        return Gaussians(vertices, self.mesh.covariances if covariances is None else covariances)
+
+    def precision(self) -> AbstractContextManager:
+        """Within, JAX has the precision that patches are made in: Gaussian products need double precision."""
+        return nullcontext() if self.patchwork.products is None else jax.enable_x64(True)
 
     @property
     def own_faces(self) -> bool:
@@ -81,7 +107,8 @@ class Conversion:
         (``slefejax.conversion.tangents``). Raises InputError for Gregory patches and a scheme of one's own: their
         normals are those of the patches.
         """
-        if self.scheme not in SCHEMES or self.patchwork.twists is not None:
+        work = self.patchwork
+        if self.scheme not in SCHEMES or work.twists is not None or work.products is not None:
             raise InputError(f"patches of the scheme {self.scheme!r} have no tangent patches, only their own normals")
         du, dv = self._tangents
         rest = np.shape(vertices)[1:]
@@ -194,6 +221,34 @@ class Subdivided(_WithPoints):
             raise InputError(f"{self.steps} steps would make {made:,} patches, more than {_MOST_PATCHES:,}: take fewer")
 
 
+@dataclass(frozen=True)
+class GaussianProduct(_WithPoints):
+    """Gaussian products [PBW19], of meshes with covariances: rational patches of bi-degree 9, one a quad.
+
+    steps : of subdivision before, of the inverse covariances; faces of more than four vertices take one at least
+
+    >>> from slefejax import load
+    >>> load("walker", scheme=GaussianProduct(), gaussians="infer").patches().shape
+    (2496, 10, 10, 4)
+    """
+
+    name = "gaussian"
+    steps: Any = 0
+
+    def refined(self, mesh: Mesh) -> tuple[Mesh, Patchwork]:
+        """The mesh, or what steps make of it, and the tables and products."""
+        steps = max(self.steps, int(mesh.sizes.max() > 4))
+        if mesh.covariances is None:
+            said = "scheme 'gaussian' needs a covariance at every vertex, and there are none: give gaussians"
+            raise InputError(said, options=("gaussians",))
+        if steps:
+            finer, work = Subdivided(self.alpha, steps).refined(mesh)
+        else:
+            finer, work = super().refined(mesh)
+        products, net = Products.of(work.net, Dual.of(Gaussians(mesh.vertices, mesh.covariances)))
+        return finer, replace(work, net=net, products=products)
+
+
 class SubdividedGregory(Subdivided):
     """The same, and Gregory patches then."""
 
@@ -204,9 +259,9 @@ class SubdividedGregory(Subdivided):
         return gregory_patches(mesh)
 
 
-_KINDS = (Acc, Pinched, BSpline, Gregory, Subdivided, SubdividedGregory)
+_KINDS = (Acc, Pinched, BSpline, Gregory, Subdivided, SubdividedGregory, GaussianProduct)
 _BY_NAME: dict[str, type[_WithPoints]] = {own.name: own for own in _KINDS}
-_WITH_STEPS = (Subdivided.name, SubdividedGregory.name)
+_WITH_STEPS = {Subdivided.name: 1, SubdividedGregory.name: 1, GaussianProduct.name: 0}  # how many if not given
 SCHEMES = ("auto", *_BY_NAME)
 
 
@@ -216,11 +271,12 @@ def convert(mesh: Mesh, scheme: Scheme | str = "auto", alpha: Any = ALPHA, steps
     scheme : ``"acc"`` for meshes of quads; ``"pinched"`` for quads and triangles; ``"bspline"``, only for regular
              meshes, where it is exact; ``"catmull-clark+acc"`` for any, by steps of subdivision first, each of which
              makes four times as many patches; ``"gregory"`` and ``"catmull-clark+gregory"``: Gregory patches, which
-             join smoothly (``slefejax.conversion.gregory``); ``"auto"``: pinched quads where there are triangles (none
+             join smoothly (``slefejax.conversion.gregory``); ``"gaussian"``: Gaussian products of a mesh with
+             covariances; ``"auto"``: these where there are covariances, pinched quads where there are triangles (none
              of them quadruples all patches), subdivision only where there are faces of more than four vertices. Or a
              value: ``slefejax.conversion.scheme.Acc()`` …, one's own (``Scheme``), or ``"my_module:MyScheme"``
     alpha  : of triangles: the weight of a neighbour, positive; [Yeo12] takes 2.5
-    steps  : of ``"catmull-clark+acc"`` and ``"catmull-clark+gregory"``: how many; 1 if not given
+    steps  : of ``"catmull-clark+acc"`` and ``"catmull-clark+gregory"``: how many, 1 if not given; of ``"gaussian"``: 0
 
     Raises InputError for a scheme that the mesh does not allow, with the number of the face or vertex.
     """
@@ -228,8 +284,8 @@ def convert(mesh: Mesh, scheme: Scheme | str = "auto", alpha: Any = ALPHA, steps
     if not isinstance(value, _WithPoints):
         return Conversion(mesh, _name(value), mesh, _checked(value.patchwork(mesh), mesh, _name(value)), ())
     finer, patchwork = value.refined(mesh)
-    notes = _price_of_ngons(mesh, steps) if scheme == "auto" or isinstance(value, Gregory) else ()
-    return Conversion(mesh, value.name, finer, patchwork, notes + _left_out(finer, value))
+    notes = _price_of_ngons(mesh, steps) if scheme == "auto" or isinstance(value, (Gregory, GaussianProduct)) else ()
+    return Conversion(mesh, value.name, finer, patchwork, notes + _left_out(mesh, finer, value))
 
 
 def _value(mesh: Mesh, scheme: Any, alpha: Any, steps: Any) -> Any:
@@ -244,7 +300,7 @@ def _value(mesh: Mesh, scheme: Any, alpha: Any, steps: Any) -> Any:
             said = f"alpha is of triangles' points in 'acc', 'pinched' and their like, not of {chosen!r}"
             raise InputError(said, options=("alpha",))
         if chosen in _WITH_STEPS:
-            return _BY_NAME[chosen](alpha, 1 if steps is None else steps)  # type: ignore[call-arg]
+            return _BY_NAME[chosen](alpha, _WITH_STEPS[chosen] if steps is None else steps)  # type: ignore[call-arg]
         if steps is not None:
             said = f"steps belong to the schemes {' and '.join(map(repr, _WITH_STEPS))}, not to {chosen!r}"
             raise InputError(said, options=("steps",))
@@ -297,6 +353,8 @@ def _one_more(
 
 
 def _automatic(mesh: Mesh) -> str:
+    if mesh.covariances is not None:
+        return "gaussian"
     if mesh.sizes.max() > 4:
         return "catmull-clark+acc"
     return "pinched" if mesh.sizes.min() < 4 else "acc"
@@ -346,7 +404,7 @@ def _price_of_ngons(mesh: Mesh, steps: int | None) -> tuple[str, ...]:
     )
 
 
-def _left_out(finer: Mesh, scheme: _WithPoints) -> tuple[str, ...]:
+def _left_out(mesh: Mesh, finer: Mesh, scheme: _WithPoints) -> tuple[str, ...]:
     alpha = scheme.alpha
     inner = np.where(finer.boundary, 0.0, finer.edge_sharpness)
     rounded = np.append(inner[(inner >= 1) & np.isfinite(inner)], finer.vertex_sharpness[finer.vertex_sharpness >= 1])
@@ -368,6 +426,10 @@ def _left_out(finer: Mesh, scheme: _WithPoints) -> tuple[str, ...]:
         )
     if isinstance(scheme, (Gregory, SubdividedGregory)):
         notes += _not_smooth(finer)
+    if isinstance(scheme, GaussianProduct) and finer.sizes.min() < 4:
+        notes.append(f"{np.sum(finer.sizes < 4)} triangles are pinched quads")
+    if not isinstance(scheme, GaussianProduct) and mesh.covariances is not None:
+        notes.append(f"covariances of vertices have no meaning for the scheme {scheme.name!r}, only for 'gaussian'")
     return tuple(notes)
 
 

@@ -28,6 +28,17 @@ def evaluate(control: Any, u: Values, v: Values) -> Values:
     return evaluate_patch(control.net, u, v) + combine(control.twists, twist_basis(len(control.twists), u, v))
 
 
+def places_at(control: Any, u: Values, v: Values) -> Values:
+    """The same in space, ``(3, ...)``: of rational patches, of four rows, over their weights.
+
+    >>> half = np.array([1.0, 2.0, 3.0, 2.0]).reshape(1, 1, 4)
+    >>> places_at(half, 0.5, 0.25).tolist()
+    [0.5, 1.0, 1.5]
+    """
+    found = evaluate(control, u, v)
+    return found[:3] / found[3] if len(found) == 4 else found
+
+
 def evaluate_grid(control: Any, u: Any, v: Any) -> Any:
     """Points ``(4, us, vs, lanes)`` of patches ``(nu, nv, 4, lanes)``, u ``(us, lanes)`` with v ``(vs, lanes)``.
 
@@ -68,8 +79,7 @@ def evaluate_patches(patches: Patches, parameters: Numbers) -> Float[Array | np.
     xp: Any = np if all(isinstance(x, np.ndarray) for x in (*jax.tree.leaves(given), parameters)) else jnp
     control = beside_places(given, xp)
     u, v = xp.moveaxis(xp.asarray(parameters, given.dtype), -1, 0)
-    points = xp.moveaxis(evaluate(control, u, v), 0, -1)
-    return points[..., :3] / points[..., 3:] if given.shape[3] == 4 else points
+    return xp.moveaxis(places_at(control, u, v), 0, -1)
 
 
 def as_control(patches: Any) -> Any:

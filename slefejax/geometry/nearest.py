@@ -1,4 +1,4 @@
-"""Nearest points on a surface that many bicubic patches make up, to rounding, in float64.
+"""Nearest points on a surface that many Bézier patches make up, to rounding, in float64.
 
 A tree of samples says which patches may hold the nearest point, and Gauss-Newton's method finds it in each of them,
 along a side where it would leave the patch: in few steps where a surface is compared with one that approximates it.
@@ -14,7 +14,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from slefejax.geometry.bezier import evaluate_patch
+from slefejax.geometry.evaluate import places_at
 from slefejax.geometry.tangents import nearest_foot
 from slefejax.late import one_at_a_time
 
@@ -40,9 +40,9 @@ class Feet:
 
 
 class Surfaces:
-    """Bicubic patches among which nearest points are looked for.
+    """Patches among which nearest points are looked for.
 
-    net    : ``(patches, 4, 4, 3)``, polynomial
+    net    : ``(patches, du+1, dv+1, 3)``, 4 at the end if rational
     places : of samples along the sides, one number or ``(patches,)``; best where they are about as dense everywhere
 
     >>> line = np.arange(4) / 3.0
@@ -53,7 +53,7 @@ class Surfaces:
     ([[0.25, 0.5, 0.0], [1.0, 0.5, 0.0]], [2.0, 1.0])
     """
 
-    def __init__(self, net: Float[np.ndarray, "patches 4 4 3"], places: Any = _PLACES) -> None:
+    def __init__(self, net: Float[np.ndarray, "patches nu nv dim"], places: Any = _PLACES) -> None:
         self.net = np.asarray(net, np.float64)
         self._places = np.broadcast_to(np.asarray(places, np.int64), len(self.net))
 
@@ -78,8 +78,7 @@ class Surfaces:
     ) -> Float[np.ndarray, "points 3"]:
         """Points at parameters (u, v) of patches."""
         found = [
-            evaluate_patch(np.moveaxis(self.net[patch[part]], 0, -1), *parameters[part].T).T
-            for part in _parts(len(patch))
+            places_at(np.moveaxis(self.net[patch[part]], 0, -1), *parameters[part].T).T for part in _parts(len(patch))
         ]
         return np.concatenate(found) if found else np.zeros((0, 3))
 

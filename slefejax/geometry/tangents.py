@@ -1,6 +1,6 @@
 """Tangents and normals of patches of every kind, and the way along tangents to the point that is nearest to another.
 
-Control points and parameters are as ``geometry.evaluate.evaluate`` takes them. Differentiable.
+Control points and parameters are as ``geometry.evaluate.places_at`` takes them. Differentiable.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from slefejax.geometry.bezier import Values
-from slefejax.geometry.evaluate import evaluate
+from slefejax.geometry.evaluate import places_at
 
 _FLAT = 1e-9  # sine of an angle between tangents: below, there is no tangent plane
 _STEEP = 1e-12  # square of such a sine: below, no step is taken
@@ -25,8 +25,8 @@ def tangents(control: Any, u: Values, v: Values) -> tuple[Values, Values, Values
     >>> [x.tolist() for x in tangents(square, jnp.array(0.5), jnp.array(0.0))]
     [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
     """
-    point, along_u = jax.jvp(lambda x: evaluate(control, x, v), (u,), (jnp.ones_like(u),))
-    _, along_v = jax.jvp(lambda x: evaluate(control, u, x), (v,), (jnp.ones_like(v),))
+    point, along_u = jax.jvp(lambda x: places_at(control, x, v), (u,), (jnp.ones_like(u),))
+    _, along_v = jax.jvp(lambda x: places_at(control, u, x), (v,), (jnp.ones_like(v),))
     return point, along_u, along_v
 
 
@@ -73,12 +73,12 @@ def nearest_foot(control: Any, points: Values, u: Values, v: Values, steps: int)
         u, v, square, share = state
         move_u, move_v, _ = _step(control, points, u, v)
         there = jnp.clip(u + share * move_u, 0.0, 1.0), jnp.clip(v + share * move_v, 0.0, 1.0)
-        found = jnp.sum((points - evaluate(control, *there)) ** 2, axis=0)
+        found = jnp.sum((points - places_at(control, *there)) ** 2, axis=0)
         nearer = found < square
         u, v, square = (jnp.where(nearer, new, old) for new, old in zip((*there, found), (u, v, square), strict=True))
         return u, v, square, jnp.where(nearer, 1.0, _SHORTER * share)
 
-    square = jnp.sum((points - evaluate(control, u, v)) ** 2, axis=0)
+    square = jnp.sum((points - places_at(control, u, v)) ** 2, axis=0)
     # two at once: derivatives of two steps need no loop
     u, v, square, _ = jax.lax.fori_loop(0, steps, step, (u, v, square, jnp.ones_like(u)), unroll=2)
     return Foot(u, v, square, _step(control, points, u, v)[2])

@@ -1,1 +1,1 @@
-"""Readers, one format a file. Each returns plain arrays; ``slefejax.scene`` makes a Scene of them."""
+"""Readers, one format a file. Each returns plain arrays; ``slefejax.loading`` makes a Scene of them."""

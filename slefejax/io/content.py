@@ -100,6 +100,8 @@ def joined(meshes: list[Mesh], counts: list[int] | None = None) -> Mesh:
     faces = np.cumsum([0, *(counts or [mesh.face_count for mesh in meshes])[:-1]])
     starts = np.cumsum([0, *(mesh.vertex_count for mesh in meshes[:-1])])
 
+    every = [mesh.covariances for mesh in meshes]
+
     def shifted(name: str) -> np.ndarray:
         return np.concatenate([getattr(mesh, name) + start for mesh, start in zip(meshes, starts, strict=True)])
 
@@ -112,4 +114,5 @@ def joined(meshes: list[Mesh], counts: list[int] | None = None) -> Mesh:
         crease_sharpness=np.concatenate([mesh.crease_sharpness for mesh in meshes]),
         points=shifted("points"),
         point_sharpness=np.concatenate([mesh.point_sharpness for mesh in meshes]),
+        covariances=None if any(own is None for own in every) else np.concatenate(every),  # type: ignore[arg-type]
     )

@@ -21,6 +21,7 @@ import numpy as np
 from slefejax.errors import InputError
 from slefejax.io.content import Content, read_bytes
 from slefejax.io.limits import LARGEST_TEXT, check_count, check_size, within
+from slefejax.model.gaussians import with_gaussians
 from slefejax.model.mesh import Mesh
 from slefejax.model.rig import Motion, Pose, Rig, Skeleton
 from slefejax.model.skinning import Influences, Key, ShapeKeys
@@ -141,7 +142,10 @@ def _mesh(arrays: _Arrays) -> Mesh:
         if place in arrays:
             sharp[place] = arrays.get(place, shape, "iu")
             sharp[sharpness] = arrays.get(sharpness, (len(sharp[place]),))
-    return Mesh.packed(vertices, corners, sizes, **sharp)
+    mesh = Mesh.packed(vertices, corners, sizes, **sharp)
+    if "covariances" not in arrays:
+        return mesh
+    return with_gaussians(mesh, arrays.get("covariances", (mesh.vertex_count, 3, 3)))
 
 
 def _rig(arrays: _Arrays, mesh: Mesh, joints: list, keys: list, rate: float) -> Rig | None:
@@ -207,6 +211,7 @@ def write_pair(path: Path, mesh: Mesh, rig: Rig | None, up: tuple[float, float, 
         raise InputError(f"{path}: a pair is saved under the name of its .json file")
     arrays: dict[str, Any] = {"vertices": mesh.vertices, "sizes": mesh.sizes, "corners": mesh.corners}
     arrays |= {name: getattr(mesh, name) for name in _SHARP if len(getattr(mesh, name))}
+    arrays |= {} if mesh.covariances is None else {"covariances": mesh.covariances}
     names: dict[str, Any] = {"format": FORMAT, "version": VERSION, "arrays": f"{path.stem}.npz", "up": list(up)}
     if rig is not None:
         names["rate"] = rig.rate

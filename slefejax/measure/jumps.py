@@ -32,7 +32,7 @@ def edge_turns(patches: Patches, edge_numbers: Int[np.ndarray, "patches 4"]) -> 
     >>> edge_turns(both, shared_edges(both)).round(6).tolist()
     [45.0]
     """
-    control = check_patches(patches, dims=(3,), gregory=True)
+    control = check_patches(patches, gregory=True)
     numbers = check_edge_numbers(edge_numbers, len(control)).ravel()
     order = np.argsort(numbers, kind="stable")
     _, first, count = np.unique(numbers[order], return_index=True, return_counts=True)
@@ -55,7 +55,7 @@ def normal_jumps(patches: Any, sides: Int[np.ndarray, "edges 2 2"]) -> Float[np.
     >>> normal_jumps(np.concatenate([flat, roof]), np.array([[[0, 2], [1, 0]]])).round(6).tolist()
     [45.0]
     """
-    control = on_host(check_patches(patches, dims=(3,), gregory=True))
+    control = on_host(check_patches(patches, gregory=True))
     if not len(sides):
         return np.zeros(0)
     if len(sides) > _AT_A_TIME:

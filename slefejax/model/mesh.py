@@ -59,6 +59,7 @@ class Mesh:
                 for which the edge stays sharp
     points    : ``(points,)``, vertices that stay sharp, and ``point_sharpness``
     numbers   : ``(faces,)``, the number that each face has in its file
+    covariances : ``(vertices, 3, 3)``, of a covariance mesh (``slefejax.model.gaussians``); None of others
 
     >>> Mesh.of([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2, 3]]).sizes.tolist()
     [4]
@@ -72,6 +73,7 @@ class Mesh:
     crease_sharpness: Float[np.ndarray, "creases"] = field(default_factory=lambda: np.zeros(0))
     points: Int[np.ndarray, "points"] = field(default_factory=lambda: np.zeros(0, np.int64))
     point_sharpness: Float[np.ndarray, "points"] = field(default_factory=lambda: np.zeros(0))
+    covariances: Float[np.ndarray, "vertices 3 3"] | None = None
 
     @staticmethod
     def of(vertices: Any, faces: Iterable[Any]) -> Mesh:

@@ -22,7 +22,15 @@ from jaxtyping import Bool, Float, Int
 from slefejax.arguments import floating, no_such, whole_numbers
 from slefejax.errors import InputError
 from slefejax.late import one_at_a_time
-from slefejax.model.skinning import Influences, ShapeKeys, dual_quaternion_blend, linear_blend, rotation_matrices
+from slefejax.model.gaussians import Gaussians
+from slefejax.model.skinning import (
+    Influences,
+    ShapeKeys,
+    dual_quaternion_blend,
+    linear_blend,
+    polar_rotations,
+    rotation_matrices,
+)
 
 _FLAT = 1e-12  # determinant of unit columns
 
@@ -45,12 +53,14 @@ def check_time(time: Any) -> None:
 class Pose(NamedTuple):
     """How a rig stands; whatever is None is as at rest (``Rig.rest``).
 
-    local : ``(joints, 4, 4)`` local transforms of the joints
-    keys  : ``(keys,)`` weights of the shape keys
+    local       : ``(joints, 4, 4)`` local transforms of the joints
+    keys        : ``(keys,)`` weights of the shape keys
+    covariances : ``(vertices, 3, 3)`` of a covariance mesh at rest, instead of its own
     """
 
     local: Any = None
     keys: Any = None
+    covariances: Any = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,26 +297,47 @@ class Rig:
         blended = dual_quaternion_blend(rest, transforms, influences)
         return blended if dual.all() else jnp.where(dual[:, None], blended, linear_blend(rest, transforms, influences))
 
-    def posed(self, rest: Array | np.ndarray, pose: Pose, deform: Deformation | None = None) -> Array | np.ndarray:
+    def posed(self, rest: Any, pose: Pose, deform: Deformation | None = None) -> Any:
         """Positions ``(vertices, 3)`` of the mesh moved to where they are in a pose: shape keys first, then bones.
 
+        rest   : positions, or ``Gaussians``: their covariances turn with the bones, R Sigma R^T
         deform : how bones move vertices; None: as the file says
 
         Raises InputError for a pose of another number of joints or keys, and for parts that this rig does not have.
         """
         pose = self.check(pose)
+        if isinstance(rest, Gaussians):
+            if pose.covariances is not None:
+                rest = Gaussians(rest.means, pose.covariances)
+            pose = pose._replace(covariances=None)
+            return Gaussians(self.posed(rest.means, pose, deform), self._turned(rest, pose, deform))
+        if pose.covariances is not None:
+            raise InputError("a pose with covariances is of a covariance mesh, and this one has none")
         if pose.keys is not None and self.keys is not None:
             rest = rest + self.keys.offsets(pose.keys)
         if pose.local is not None and self.skeleton is not None:
             rest = (deform or self.deform)(rest, self.skeleton.transforms(pose.local), self.influences)  # type: ignore[arg-type]
         return rest
 
-    def at_rest(self, vertices: Any, deform: Deformation | None = None) -> Float[np.ndarray, "vertices 3"]:
-        """Positions ``(vertices, 3)`` of the mesh moved to where they are in the rest pose, in float64 on the host."""
+    def _turned(self, rest: Gaussians, pose: Pose, deform: Deformation | None) -> Any:
+        """Covariances turned by the rotations in the derivatives of where each vertex goes by where it was."""
+        if pose.local is None or self.skeleton is None:
+            return rest.covariances
+        bent = lambda x: self.posed(x, pose, deform)  # noqa: E731
+        axes = [jnp.broadcast_to(axis, rest.means.shape) for axis in jnp.eye(3, dtype=rest.means.dtype)]
+        jacobian = jnp.stack([jax.jvp(bent, (rest.means,), (axis,))[1] for axis in axes], axis=-1)
+        turn = polar_rotations(jacobian)
+        return turn @ rest.covariances @ jnp.swapaxes(turn, -1, -2)
+
+    def at_rest(self, control: Any, deform: Deformation | None = None) -> Any:
+        """Positions ``(vertices, 3)``, or ``Gaussians``, moved to where they are in the rest pose, on the host.
+
+        In float64.
+        """
         if all(part is None for part in self.rest):
-            return np.asarray(vertices, np.float64)
+            return jax.tree.map(lambda x: np.asarray(x, np.float64), control)
         with jax.enable_x64(True):
-            return np.asarray(self.posed(jnp.asarray(vertices), self.rest, deform))
+            return jax.tree.map(np.asarray, self.posed(jax.tree.map(jnp.asarray, control), self.rest, deform))
 
     def check(self, pose: Pose) -> Pose:
         """The pose as arrays, what it leaves open as it is at rest.

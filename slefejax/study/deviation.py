@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from slefejax.arguments import Patches, check_patches, is_whole, on_device, on_host
 from slefejax.errors import InputError
-from slefejax.geometry.evaluate import beside_places, evaluate
+from slefejax.geometry.evaluate import beside_places, places_at
 from slefejax.geometry.tangents import nearest_foot, with_normals
 from slefejax.measure.jumps import side_places
 
@@ -69,7 +69,7 @@ def distance_squares(patches: Any, given: Any, places: int, steps: int) -> Array
     """
     t = np.linspace(0.0, 1.0, places)
     u, v = _both(np.stack(np.meshgrid(t, t, indexing="ij"), axis=-1), patches)
-    points = evaluate(beside_places(patches), u, v)
+    points = places_at(beside_places(patches), u, v)
     u, v = (jnp.broadcast_to(x, points.shape[1:]) for x in (u, v))
     return nearest_foot(beside_places(given), points, u, v, steps).square
 
@@ -108,7 +108,7 @@ _turns_jit = partial(jax.jit, static_argnums=2)(turn_squares)
 
 
 def _alike(patches: Patches, given: Patches) -> tuple[Any, Any]:
-    both = [check_patches(own, dims=(3,), gregory=True) for own in (patches, given)]
+    both = [check_patches(own, gregory=True) for own in (patches, given)]
     if len(both[0]) != len(both[1]):
         raise InputError(f"there are {len(both[0])} patches and {len(both[1])} to compare them with")
     if not all(np.isfinite(x).all() for x in jax.tree.leaves([on_host(own) for own in both])):

@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 
 from slefejax.errors import InputError
 from slefejax.geometry.view import View, bounding_sphere, check_view
+from slefejax.model.gaussians import Gaussians
 from slefejax.model.rig import Deformation, Pose
 from slefejax.predict.methods import Options, Request
 from slefejax.scene import Scene
@@ -131,8 +132,9 @@ class _Mesh:
                 local = jnp.asarray(self.rig.skeleton.rest)
             if keys is None and self.rig.keys is not None:
                 keys = jnp.zeros(len(self.rig.keys.names))
-            self.pose = Pose(local, keys)
-        self.places = np.asarray(self._vertices(self.pose), np.float64)
+            self.pose = found._replace(local=local, keys=keys)
+        moved = self._moved(self.pose)
+        self.places = np.asarray(getattr(moved, "means", moved), np.float64)
 
     def origin(self) -> dict[str, Any]:
         found: dict[str, Any] = {"points": jnp.zeros(self.places.shape)}
@@ -143,17 +145,22 @@ class _Mesh:
         return found
 
     def patches(self, at: dict[str, Any]) -> Any:
-        local, keys = self.pose
+        local, keys = self.pose.local, self.pose.keys
         if local is not None:
             local = local @ _small_motions(at["turns"], at["shifts"])
         if keys is not None:
             keys = keys + at["keys"]
         assert self.scene.conversion is not None
-        return self.scene.conversion.patchwork.patches(self._vertices(Pose(local, keys)) + at["points"])
+        moved = self._moved(self.pose._replace(local=local, keys=keys))
+        if isinstance(moved, Gaussians):
+            moved = Gaussians(moved.means + at["points"], moved.covariances)
+            return self.scene.conversion.patchwork.patches(moved)
+        return self.scene.conversion.patchwork.patches(moved + at["points"])
 
-    def _vertices(self, pose: Pose) -> Any:
+    def _moved(self, pose: Pose) -> Any:
+        """Positions, or Gaussians, in a pose."""
         assert self.scene.conversion is not None
-        rest = jnp.asarray(self.scene.conversion.mesh.vertices)
+        rest = jax.tree.map(jnp.asarray, self.scene.conversion.control)
         return rest if self.rig is None else self.rig.posed(rest, pose, self.deform)
 
 

@@ -11,13 +11,18 @@ from slefejax.errors import InputError, naming
 from slefejax.io.content import Content, read_bytes
 from slefejax.io.limits import LARGEST_TEXT
 from slefejax.io.ply.file import Column, read_elements
+from slefejax.model.gaussians import with_gaussians
 from slefejax.model.mesh import Mesh
 
 _NAMES = ("vertex_indices", "vertex_index")
+_COVARIANCE = ("cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz")
+_PLACES = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # of the entries of a symmetric matrix among these
 
 
 def read_ply(path: Path) -> Content:
     """The control mesh of a file: ``x y z`` of its vertices, ``vertex_indices`` of its faces and triangle strips.
+
+    Vertices that have ``cov_xx cov_xy cov_xz cov_yy cov_yz cov_zz`` make it a covariance mesh.
 
     In a strip each vertex makes a triangle with the two before it, whose orientation alternates; -1 begins another one.
     Triangles of strips are numbered behind the faces.
@@ -40,7 +45,21 @@ def read_ply(path: Path) -> Content:
         triangles, more = _triangles(*_vertices(path, "tristrips", found["tristrips"]))
         corners, sizes, notes = [*corners, triangles.ravel()], [*sizes, np.full(len(triangles), 3)], notes + more
     with naming(path):
-        return Content(mesh=Mesh.packed(points, np.concatenate(corners), np.concatenate(sizes)), notes=notes)
+        mesh = Mesh.packed(points, np.concatenate(corners), np.concatenate(sizes))
+        return Content(mesh=_with_covariances(mesh, found["vertex"]), notes=notes)
+
+
+def _with_covariances(mesh: Mesh, columns: dict[str, Column]) -> Mesh:
+    """The mesh with the covariances of its vertices, if there are any."""
+    there = [name in columns and columns[name].sizes is None for name in _COVARIANCE]
+    if not any(there):
+        return mesh
+    if not all(there):
+        raise InputError(
+            f"a covariance needs all of {' '.join(_COVARIANCE)}, and vertices have no {_COVARIANCE[there.index(False)]}"
+        )
+    entries = np.stack([columns[name].values for name in _COVARIANCE], axis=1)
+    return with_gaussians(mesh, entries[:, _PLACES].reshape(-1, 3, 3))
 
 
 def _vertices(path: Path, element: str, columns: dict[str, Column]) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,1 @@
+"""Gaussian-product surfaces as rational patches."""
