@@ -83,7 +83,11 @@ PLACES = np.random.default_rng(5).uniform(size=(20, 2))
 
 
 @pytest.mark.parametrize(
-    "mesh", [torus(), torus(1e4, 1), with_gaussians(disc(5), "infer"), with_gaussians(disc(64), 2.0)]
+    "mesh",
+    [
+        with_gaussians(disc(5), "infer"),
+        *(pytest.param(m, marks=pytest.mark.slow) for m in (torus(), torus(1e4, 1), with_gaussians(disc(64), 2.0))),
+    ],
 )
 def test_patches_are_what_inverse_covariances_say_at_every_place(mesh):
     conversion: Any = convert(mesh, "gaussian")
@@ -97,7 +101,7 @@ def test_patches_are_what_inverse_covariances_say_at_every_place(mesh):
     np.testing.assert_allclose(by_jax, patches, rtol=1e-12, atol=1e-13 * np.abs(patches).max())
 
 
-@pytest.mark.parametrize("radius", [1e-3, 1.0, 1e4])
+@pytest.mark.parametrize("radius", [1.0, *(pytest.param(r, marks=pytest.mark.slow) for r in (1e-3, 1e4))])
 def test_balls_give_the_ordinary_surface(radius, main_view):
     mesh = disc(5)
     gaussian, plain = scene_of(with_gaussians(mesh, radius)), convert(mesh, "acc")
@@ -263,7 +267,7 @@ def test_parameters_of_covariances_are_the_inverse():
         covariances(np.zeros(5))
 
 
-@pytest.mark.parametrize("blend", [linear_blend, dual_quaternion_blend])
+@pytest.mark.parametrize("blend", [pytest.param(linear_blend, marks=pytest.mark.slow), dual_quaternion_blend])
 def test_covariances_turn_with_bones(blend):
     """Where all bones make one rigid motion, the whole surface does."""
     scene: Any = load("walker", scheme="gaussian", gaussians="infer")
@@ -313,7 +317,10 @@ def test_single_precision_makes_patches_in_double_precision():
             scene.conversion.patchwork.patches(scene.conversion.control)
 
 
-@pytest.mark.parametrize(("condition", "tiles"), [(1.0, 2), (20.0, 2), (100.0, 2), (20.0, 1)])
+@pytest.mark.parametrize(
+    ("condition", "tiles"),
+    [(100.0, 2), *(pytest.param(*own, marks=pytest.mark.slow) for own in ((1.0, 2), (20.0, 2), (20.0, 1)))],
+)
 def test_factors_hold_and_are_nearly_minimal(condition, tiles):
     scene = scene_of(torus(condition))
     view = View(scene.default_camera(), 1440, 900)
@@ -336,6 +343,7 @@ def test_drawn_pictures_hold(device):
     assert np.all(triangle_error(scene.patches(), drawn, view) <= 0.5)
 
 
+@pytest.mark.slow
 def test_caps_come_nearer_to_the_limit_surface():
     mesh = with_gaussians(disc(5), "infer")
     found = [limit_distance(scene_of(mesh, steps=steps)).largest for steps in (1, 2)]
@@ -426,9 +434,9 @@ def test_commands_take_gaussians(capsys, tmp_path):
         + "".join(f"f {' '.join(map(str, face + 1))}\n" for face in mesh.corners.reshape(-1, 4))
     )
     np.save(tmp_path / "spread.npy", mesh.covariances)
-    for given in ("infer", "0.5", str(tmp_path / "spread.npy")):
-        found = run_json(capsys, "factors", str(tmp_path / "mesh.obj"), "--gaussians", given, "--size", "160x100")
-        assert len(found["rows"]) == 20
+    given = "--gaussians", str(tmp_path / "spread.npy")
+    found = run_json(capsys, "factors", str(tmp_path / "mesh.obj"), *given, "--size", "160x100")
+    assert len(found["rows"]) == 20
     (tmp_path / "broken.npy").write_bytes(b"none")
     for given, said in (("guess", "--gaussians"), (str(tmp_path / "broken.npy"), "no .npy"), ("-2", "radius")):
         assert main(["factors", str(tmp_path / "mesh.obj"), f"--gaussians={given}"]) == 2

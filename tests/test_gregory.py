@@ -351,6 +351,7 @@ def test_commands_for_bezier_patches_say_why(command, why, pyramid, capsys):
     assert said.count("\n") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.gl
 def test_certify_leaves_out_what_is_for_bezier_patches(device, pyramid, capsys):
     found = run_json(capsys, "certify", *pyramid, "--size", "120x80")

@@ -243,7 +243,7 @@ def among_triangles(quads, others):
     return GregoryPatches(*(x[order] for x in both))
 
 
-@pytest.mark.parametrize("tiles", [1, 2])
+@pytest.mark.parametrize("tiles", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_quads_among_triangles(tiles, precision, rng):
     """Their factors are those of their bi-degree 3, the others' those that they have alone; inside of jit, too."""
     quads, others = (random_patches(rng, 40, degree).astype(precision) for degree in (3, 4))
@@ -258,6 +258,7 @@ def test_quads_among_triangles(tiles, precision, rng):
     np.testing.assert_allclose(traced, found, rtol=rtol)
 
 
+@pytest.mark.slow
 def test_nets_that_are_nearly_of_bi_degree_3(rng):
     """What more than rounding sets apart is taken as it is."""
     quads, others = (random_patches(rng, 24, degree) for degree in (3, 4))

@@ -59,7 +59,8 @@ def _rig(rig: Rig, places: np.ndarray) -> Rig:
 
 
 def _rest(rig: Rig, places: np.ndarray) -> Pose:
-    local, keys = (None if part is None else np.concatenate([part] * len(places)) for part in rig.rest)
+    own = rig.rest.local, rig.rest.keys
+    local, keys = (None if part is None else np.concatenate([part] * len(places)) for part in own)
     if local is not None and rig.skeleton is not None:
         roots = np.tile(rig.skeleton.parents < 0, len(places))
         local[roots, :3, 3] += np.repeat(places, len(rig.skeleton.names), axis=0)[roots]

@@ -246,8 +246,8 @@ def _describe(rig: Rig, names: dict[str, Any], arrays: dict[str, Any]) -> None:
                 moved = np.flatnonzero(np.any(offsets != 0, axis=1))
                 arrays |= {f"key{number}_{k}_vertices": moved, f"key{number}_{k}_offsets": offsets[moved]}
                 column += 1
-    rest = zip(("rest_joints", "rest_keys"), rig.rest, strict=True)
-    arrays |= {name: values for name, values in rest if values is not None}
+    rest = {"rest_joints": rig.rest.local, "rest_keys": rig.rest.keys}
+    arrays |= {name: values for name, values in rest.items() if values is not None}
     if rig.motion is not None:
         motion = rig.motion
         parts = {"times": motion.times, "translations": motion.translations, "rotations": motion.rotations}
