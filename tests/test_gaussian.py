@@ -334,8 +334,8 @@ def test_factors_hold_and_are_nearly_minimal(condition, tiles):
 
 @pytest.mark.gl
 def test_drawn_pictures_hold(device):
-    scene = scene_of(torus(20.0))
-    view = View(scene.default_camera(), 320, 200)
+    scene = scene_of(torus(5.0, nu=3, nv=4))
+    view = View(scene.default_camera(), 160, 100)
     factors = tessellation_factors(scene.patches(), view, edge_numbers=scene.edge_numbers)
     renderer = Renderer(scene.patches(), device)
     drawn = renderer.capture(view, factors.inner, factors.edges)
