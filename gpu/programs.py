@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from importlib.resources import files
-from typing import Any
+from typing import Any, NamedTuple
 
 import moderngl
 
@@ -17,7 +17,14 @@ _STAGES = {
 }
 
 
-Shape = tuple[int, int, int, int]  # du+1, dv+1, dim, and twists of a patch
+class Shape(NamedTuple):
+    """What a patch is: of a net ``(nu, nv, dim)`` and twists; levels of nested nets if it is a square of those."""
+
+    nu: int
+    nv: int
+    dim: int
+    twists: int
+    levels: int | None = None
 
 
 def draw_program(context: Any, shape: Shape, spacing: str, owned: bool) -> Any:
@@ -32,8 +39,8 @@ def capture_program(context: Any, shape: Shape, spacing: str, owned: bool) -> An
 
 
 def _program(context: Any, shape: Shape, spacing: str, owned: bool, stages: dict[str, str]) -> Any:
-    defines: dict[str, Any] = {"DEGREE_U": shape[0] - 1, "DEGREE_V": shape[1] - 1, "COORDINATES": shape[2]}
-    defines["TWISTS"] = shape[3]
+    defines: dict[str, Any] = {"DEGREE_U": shape.nu - 1, "DEGREE_V": shape.nv - 1, "COORDINATES": shape.dim}
+    defines |= {"TWISTS": shape.twists, "NESTED": int(shape.levels is not None), "LEVELS": shape.levels or 0}
     defines |= {"SPACING": spacing.replace("-", "_") + "_spacing", "OWNED_SIDES": int(owned)}
     sources = {stage: _source(name, defines) for stage, name in stages.items()}
     try:

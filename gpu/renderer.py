@@ -9,12 +9,12 @@ import moderngl
 import numpy as np
 from jaxtyping import Float, Int, Real
 
-from slefejax.arguments import Patches, check_patches, on_host, real_numbers, whole_numbers
+from slefejax.arguments import real_numbers, whole_numbers
 from slefejax.errors import InputError, OpenGLError
-from slefejax.geometry.gregory import GregoryPatches
-from slefejax.geometry.view import LARGEST, View
+from slefejax.geometry.view import View
 from slefejax.gpu.context import Device, open_device
-from slefejax.gpu.programs import Shape, capture_program, draw_program
+from slefejax.gpu.programs import capture_program, draw_program
+from slefejax.gpu.sent import owner_records, runs, sent, sides_of
 from slefejax.gpu.strays import Strays, drawn_at, nearest_drawn
 from slefejax.gpu.unseen import without_unseen
 from slefejax.tessellator.edges import Sides
@@ -29,9 +29,9 @@ from slefejax.tessellator.levels import (
 
 # Software OpenGL numbers the tessellated vertices of a draw call in 16 bits and loses triangles beyond.
 VERTICES_A_DRAW = 65_536
-_HIGHEST_PATCH_NUMBER = 2**24
 _RECORD = 20  # floats a captured triangle, see capture.geom
 _PIECE = 12  # floats a piece, see patch.tesc
+_OWNERS, _PARTS = 4, 5  # bindings, see sides.glsl and nested.glsl
 _ATTACHMENTS = (4, 2)  # components of the G-buffer's parts, see gbuffer.frag
 _PROGRAMS = {"draw": draw_program, "capture": capture_program}
 
@@ -80,7 +80,8 @@ class Renderer:
     out.
 
     patches : ``(patches, du+1, dv+1, 3)`` or, rational, 4 at the end, or ``GregoryPatches``; sent as float32, relative
-              to the box around them, so that a scene far from the origin, or of any size, loses nothing
+              to the box around them, so that a scene far from the origin, or of any size, loses nothing. Or
+              ``NestedNets`` of Gaussian products, each of whose squares is a patch
     device  : from ``open_device``, which is called if it is not given
     spacing : ``"equal"``: levels are whole numbers; ``"fractional-even"``, ``"fractional-odd"``: any numbers up to the
               limit, and vertices move as they change, instead of coming and going
@@ -91,25 +92,28 @@ class Renderer:
     >>> buffer = renderer.draw(view, factors.inner, factors.edges)          # doctest: +SKIP
     """
 
+    moved: int
+    """Of how many patches control points were sent when they were made or moved last: of those that changed."""
+
     def __init__(
-        self, patches: Patches, device: Device | None = None, spacing: str = "equal", sides: Sides | None = None
+        self, patches: Any, device: Device | None = None, spacing: str = "equal", sides: Sides | None = None
     ) -> None:
         check_spacing(spacing)
         self.device, self.spacing = device or open_device(), spacing
         self.device.check_thread()
         self.device.collect()
-        self._sent, self._to_world = _checked(patches)
-        control, self._count = self._sent, len(self._sent)
-        self._shape = _shape_of(control)
+        self._sent = sent(patches)
+        self._count = self.moved = len(self._sent)
         context = self.device.context
-        self._control = context.buffer(_control_records(control))
+        self._buffers = {0: context.buffer(self._sent.records.tobytes())}
+        if self._sent.parts is not None:
+            self._buffers[_PARTS] = context.buffer(self._sent.parts.tobytes())
         # where all sides have equally many points, those that are one curve have equal ones: each patch's own will do
-        self._finds_sides = sides is None and control.shape[1] != control.shape[2]
-        self._owners: Any = None
+        self._finds_sides = sides is None and self._sent.shape.nu != self._sent.shape.nv
         if self._finds_sides:
-            sides = _sides_of(patches)
+            sides = sides_of(patches)
         if sides is not None:
-            self._owners = context.buffer(_owner_records(sides, self._count))
+            self._buffers[_OWNERS] = context.buffer(owner_records(sides, self._count))
         self._target: tuple[tuple[int, int], Any] | None = None
         self._drawn: tuple[View, Pieces, bool] | None = None
         self._arrays: dict[str, Any] = {}
@@ -124,21 +128,23 @@ class Renderer:
             " another one of the same patches"
         )
 
-    def move(self, patches: Patches) -> None:
-        """Other control points for the same patches. Raises InputError if there are more or fewer of them."""
+    def move(self, patches: Any) -> None:
+        """Other control points for the same patches, of which only those that differ are sent (``moved``).
+
+        Raises InputError if there are more or fewer of them.
+        """
         self.device.check_thread()
-        control, to_world = _checked(patches)
-        if (len(control), *_shape_of(control)) != (self._count, *self._shape):
-            twists = [f" and {n} twists" if n else "" for n in (self._shape[3], _shape_of(control)[3])]
-            raise InputError(
-                f"patches that move keep their number and degree: {self._sent.shape}{twists[0]}, not"
-                f" {control.shape}{twists[1]}"
-            )
-        self._control.write(_control_records(control))
+        found = sent(patches, self._sent)
+        if (found.records.shape, found.shape) != (self._sent.records.shape, self._sent.shape):
+            raise InputError(f"patches that move keep their number and degree: {self._sent}, not {found}")
+        changed = np.any(found.records != self._sent.records, axis=1)
+        for first, count in runs(changed):
+            self._buffers[0].write(found.records[first : first + count].tobytes(), first * found.records[0].nbytes)
+        self.moved = int(changed.sum())
         self._drawn = None
-        self._sent, self._to_world = control, to_world
+        self._sent = found
         if self._finds_sides:
-            self._owners.write(_owner_records(_sides_of(patches), self._count))
+            self._buffers[_OWNERS].write(owner_records(sides_of(patches), self._count))
 
     def draw(self, view: View, inner: Inner, outer: Outer) -> GBuffer:
         """Draw and read back. Levels as in ``submit``."""
@@ -194,13 +200,12 @@ class Renderer:
         What a renderer that nobody holds any more has left is freed when the next one is made.
         """
         self._release_arrays()
-        self._control.release()
-        if self._owners is not None:
-            self._owners.release()
+        for buffer in self._buffers.values():
+            buffer.release()
         self._release_target()
 
     def _to_clip(self, view: View) -> np.ndarray:
-        return np.asarray(view.world_to_clip, np.float64) @ self._to_world
+        return np.asarray(view.world_to_clip, np.float64) @ self._sent.to_world
 
     def _settled(
         self, strays: Strays, samples: np.ndarray, view: View, parts: Pieces, in_pieces: bool
@@ -239,7 +244,7 @@ class Renderer:
         inner, outer = self._checked_levels(inner, outer)
         parts = Pieces.of(inner, outer, self.spacing)
         in_pieces = bool(np.any(parts.along > 1))
-        return without_unseen(parts, self._sent, self._to_clip(view)), in_pieces
+        return without_unseen(parts, self._sent.patches, self._to_clip(view)), in_pieces
 
     def _render(self, name: str, view: View, parts: Pieces, in_pieces: bool) -> None:
         self._make_room(len(parts.patch))
@@ -251,10 +256,9 @@ class Renderer:
         records = np.zeros((len(parts.patch), _PIECE), np.float32)
         records[:, :11] = np.column_stack(parts)
         self._pieces.write(records.tobytes())
-        self._control.bind_to_storage_buffer(0)
         self._pieces.bind_to_storage_buffer(1)
-        if self._owners is not None:
-            self._owners.bind_to_storage_buffer(4)
+        for binding, buffer in self._buffers.items():
+            buffer.bind_to_storage_buffer(binding)
         self.device.context.patch_vertices = 1
         for first, count in draw_ranges(segments(parts.inner, self.spacing), segments(parts.outer, self.spacing)):
             array.render(moderngl.PATCHES, vertices=count, first=first)
@@ -277,8 +281,8 @@ class Renderer:
 
     def _array(self, name: str) -> Any:
         if name not in self._arrays:
-            owned = self._owners is not None
-            program = _PROGRAMS[name](self.device.context, self._shape, self.spacing, owned)
+            owned = _OWNERS in self._buffers
+            program = _PROGRAMS[name](self.device.context, self._sent.shape, self.spacing, owned)
             self._arrays[name] = self.device.context.vertex_array(program, [(self._numbers, "i", "number")])
         return self._arrays[name]
 
@@ -327,79 +331,6 @@ class Renderer:
         limit = MOST_LEVEL if self.spacing == "equal" else highest_level(self.spacing, self.device.highest_level)
         check_levels(levels, limit)
         return inner, outer
-
-
-def _checked(patches: Patches) -> tuple[Any, np.ndarray]:
-    """Control points as they are sent, and the matrix that takes them back to the world."""
-    given = on_host(check_patches(patches, gregory=True)).astype(np.float64)
-    control = given.net if isinstance(given, GregoryPatches) else given
-    everything = [control] if control is given else [control, given.twists]
-    bad = np.flatnonzero(~np.all([np.isfinite(x).reshape(len(x), -1).all(axis=1) for x in everything], axis=0))
-    if bad.size:
-        raise InputError(f"patch {bad[0]} (counted from 0) has control points that are not finite numbers")
-    if not max(np.max(np.abs(x)) for x in everything) < LARGEST:
-        raise InputError(f"control points must be below {LARGEST:g} to be drawn: scale the scene down")
-    if len(control) >= _HIGHEST_PATCH_NUMBER:
-        raise InputError(f"the G-buffer can number {_HIGHEST_PATCH_NUMBER - 1} patches, not {len(control)}")
-    sent, to_world = _in_unit_box(control)
-    if control is given:
-        return sent, to_world
-    return GregoryPatches(sent, (given.twists / to_world[0, 0]).astype(np.float32)), to_world
-
-
-def _shape_of(sent: Any) -> Shape:
-    twists = sent.twists.shape[1] if isinstance(sent, GregoryPatches) else 0
-    nu, nv, dim = sent.shape[1:]
-    return nu, nv, dim, twists
-
-
-def _control_records(sent: Any) -> bytes:
-    """Control points as bezier.glsl reads them: a patch's net, then its twists."""
-    if not isinstance(sent, GregoryPatches):
-        return sent.tobytes()
-    return np.concatenate([x.reshape(len(x), -1) for x in (sent.net, sent.twists)], axis=1).tobytes()
-
-
-def _in_unit_box(patches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """float32 control points relative to the box around them, and the matrix that takes them back to the world.
-
-    Equal points stay equal, so shared edges stay shared. The scale is a power of two.
-    """
-    weights = patches[..., 3:] if patches.shape[3] == 4 else None
-    axes = [patches[..., a] if weights is None else patches[..., a] / weights[..., 0] for a in range(3)]
-    # one coordinate after the other: of short rows NumPy finds the smallest ten times more slowly
-    low, high = np.array([axis.min() for axis in axes]), np.array([axis.max() for axis in axes])
-    centre = 0.5 * low + 0.5 * high
-    extent = float(np.max(0.5 * high - 0.5 * low))
-    scale = float(2.0 ** np.ceil(np.log2(extent))) if extent > 0 else 1.0
-    sent = np.empty(patches.shape, np.float32)
-    for a in range(3):
-        origin = centre[a] if weights is None else centre[a] * weights[..., 0]
-        np.divide(patches[..., a] - origin, scale, out=sent[..., a], casting="same_kind")
-    if weights is not None:
-        sent[..., 3:] = weights
-    to_world = np.diag([scale, scale, scale, 1.0])
-    to_world[:3, 3] = centre
-    return sent, to_world
-
-
-def _sides_of(patches: Patches) -> Sides:
-    return Sides.of(np.asarray(check_patches(patches)))  # in their own precision, as levels are found
-
-
-def _owner_records(sides: Sides, count: int) -> bytes:
-    """Sides as sides.glsl reads them."""
-    ends = np.stack([sides.first, sides.last])
-    whose = np.asarray(sides.owner)
-    if whose.shape != (count, 4) or ends.shape != (2, count, 4):
-        raise InputError(
-            f"sides must be those of {count} patches, ({count}, 4), not {whose.shape}: Sides.of finds them"
-        )
-    if not (np.all((whose >= 0) & (whose < 4 * count)) and np.all((ends >= 0) & (ends <= 1))):
-        raise InputError("sides must be parts, from 0 to 1, of sides of these patches: Sides.of finds them")
-    records = np.zeros((count, 4), [("owner", "<i4"), ("first", "<f4"), ("last", "<f4")])
-    records["owner"], records["first"], records["last"] = whose, *ends
-    return records.tobytes()
 
 
 def check_levels(levels: Real[np.ndarray, "patches"], highest: int = MOST_LEVEL) -> None:

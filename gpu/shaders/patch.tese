@@ -1,7 +1,11 @@
 #version 430
 layout(quads, SPACING, ccw) in;
 
+#if NESTED
+#include "nested.glsl"
+#else
 #include "bezier.glsl"
+#endif
 #include "place.glsl"
 #if OWNED_SIDES
 #include "sides.glsl"

@@ -132,6 +132,13 @@ def limit_surface(mesh: Mesh, levels: int = LEVELS) -> LimitSurface:
     return LimitSurface(*(np.concatenate(column) for column in zip(*parts, strict=True)), first)  # type: ignore[arg-type]
 
 
+def limit_of_q(mesh: Mesh, q: Float[np.ndarray, "vertices 9"], levels: int = LEVELS) -> LimitSurface:
+    """The same of q of Gaussian products: ``net`` is ``(patches, 4, 4, 9)``, not yet rational patches."""
+    # subdivision is linear: three of the nine coordinates at a time
+    parts = [limit_surface(replace(mesh, vertices=q[:, k : k + 3]), levels) for k in (0, 3, 6)]
+    return replace(parts[0], net=np.concatenate([part.net for part in parts], axis=3))
+
+
 def _whole(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Origins and frames of whole faces."""
     return np.zeros((count, 2)), np.broadcast_to(np.eye(2), (count, 2, 2))
@@ -189,9 +196,18 @@ def regular_faces(mesh: Mesh) -> Bool[np.ndarray, "faces"]:
     >>> regular_faces(square).tolist()
     [True]
     """
+    return np.bincount(mesh.face, irregular(mesh), minlength=mesh.face_count) == 0
+
+
+def irregular(mesh: Mesh) -> Bool[np.ndarray, "corners"]:
+    """Corners at vertices whose surroundings are not a B-spline's.
+
+    >>> square = Mesh.of([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [(0, 1, 2, 3)])
+    >>> irregular(square).any().tolist()
+    False
+    """
     around = Neighbourhood.of(mesh)
-    bad = ~_plain(around) | ~_sound(around)
-    return np.bincount(mesh.face, bad, minlength=mesh.face_count) == 0
+    return ~_plain(around) | ~_sound(around)
 
 
 def irregular_corner(mesh: Mesh) -> tuple[Int[np.ndarray, "faces"], Int[np.ndarray, "faces"]]:

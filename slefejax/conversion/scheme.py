@@ -14,9 +14,15 @@ from jaxtyping import Bool, Int
 from slefejax.arguments import check_choice, check_positive, imported, is_whole, no_such
 from slefejax.conversion.acc import ALPHA, Neighbourhood, acc_patches
 from slefejax.conversion.catmull_clark import CORNER, refine
-from slefejax.conversion.gaussian.products import Dual, Products
+from slefejax.conversion.gaussian.products import Dual, Products, patches_of
 from slefejax.conversion.gregory_nets import gregory_patches
-from slefejax.conversion.limit import LimitSurface, irregular_corner, limit_surface, smooth_sides
+from slefejax.conversion.limit import (
+    LimitSurface,
+    irregular_corner,
+    limit_of_q,
+    limit_surface,
+    smooth_sides,
+)
 from slefejax.conversion.natural import natural_grids
 from slefejax.conversion.patchwork import Patchwork
 from slefejax.conversion.tangents import tangent_tables
@@ -60,10 +66,8 @@ class Conversion:
         inputs = inputs if work.first is None else work.first.on_host(inputs)
         if work.products is None:
             return limit_surface(replace(self.finer, vertices=inputs))
-        # subdivision is linear: three of the nine coordinates at a time
-        parts = [limit_surface(replace(self.finer, vertices=inputs[:, k : k + 3])) for k in (0, 3, 6)]
-        nets = np.concatenate([part.net for part in parts], axis=3)
-        return replace(parts[0], net=work.products.patches_of(nets))
+        found = limit_of_q(self.finer, inputs)
+        return replace(found, net=patches_of(found.net, work.products.dual))
 
     @property
     def control(self) -> Any:

@@ -191,28 +191,33 @@ class Products(NamedTuple):
     def __call__(self, points: Float[Any, "points 9"]) -> Float[Any, "rows 4"]:
         """Control points (w x, w y, w z, w) in the scene's coordinates."""
         xp = _numpy_of(points)
-        corners = self._made(points, self.corners)[0, 0]
-        sides = self._made(points, self.sides)[1:-1, 0]
-        inside = self._made(points, self.patches)[1:-1, 1:-1]
+        corners = _made(points, self.corners)[0, 0]
+        sides = _made(points, self.sides)[1:-1, 0]
+        inside = _made(points, self.patches)[1:-1, 1:-1]
         lists = [xp.moveaxis(part, (-1, -2), (0, -1)).reshape(-1, 4) for part in (corners, sides, inside)]
-        return self._placed(xp, xp.concatenate(lists))
+        return _placed(xp.concatenate(lists), self.dual)
 
-    def patches_of(self, nets: Float[np.ndarray, "patches 4 4 9"]) -> Float[np.ndarray, "patches 10 10 4"]:
-        """Rational patches of nets of q, each in a frame of its own, on the host."""
-        points = np.moveaxis(nets, 0, 2).reshape(-1, 9)
-        made = self._made(points, np.arange(len(points)).reshape(4, 4, -1))
-        return self._placed(np, np.moveaxis(made, (-1, 2), (0, -1)))
 
-    def _placed(self, xp: Any, found: Any) -> Any:
-        """Relative to the scene's origin."""
-        return xp.concatenate([found[..., :3] + self.dual.origin * found[..., 3:], found[..., 3:]], axis=-1)
+def patches_of(nets: Float[np.ndarray, "patches 4 4 9"], dual: Dual) -> Float[np.ndarray, "patches 10 10 4"]:
+    """Rational patches of nets of q, each in a frame of its own, on the host."""
+    points = np.moveaxis(nets, 0, 2).reshape(-1, 9)
+    made = _made(points, np.arange(len(points)).reshape(4, 4, -1))
+    return _placed(np.moveaxis(made, (-1, 2), (0, -1)), dual)
 
-    def _made(self, points: Any, net: Any) -> Any:
-        take = lambda own: rational_net(_numpy_of(points).moveaxis(points[own], 2, -1))  # noqa: E731
-        if not isinstance(points, np.ndarray):
-            return take(net)
-        parts = range(0, net.shape[2], _AT_A_TIME)
-        return np.concatenate([take(net[:, :, k : k + _AT_A_TIME]) for k in parts], axis=-1)
+
+def _placed(found: Any, dual: Dual) -> Any:
+    """Relative to the scene's origin."""
+    moved = found[..., :3] + dual.origin * found[..., 3:]
+    return _numpy_of(found).concatenate([moved, found[..., 3:]], axis=-1)
+
+
+def _made(points: Any, net: Any) -> Any:
+    """Rational nets of nets of numbers of points of q."""
+    take = lambda own: rational_net(_numpy_of(points).moveaxis(points[own], 2, -1))  # noqa: E731
+    if not isinstance(points, np.ndarray):
+        return take(net)
+    parts = range(0, net.shape[2], _AT_A_TIME)
+    return np.concatenate([take(net[:, :, k : k + _AT_A_TIME]) for k in parts], axis=-1)
 
 
 _EIGHT = np.arange(8)
