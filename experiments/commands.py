@@ -22,6 +22,7 @@ COMMANDS = {
     "error-time": "studies.error_time:ErrorTime",
     "scaling": "bench.scaling:Scaling",
     "limit": "checks.limit:Limit",
+    "gaussian": "products.gaussian:GaussianOfScene",
     "tightness": "checks.tightness:Tightness",
     "stability": "checks.stability:Stability",
     "attack": "attack.attack:Attack",

@@ -19,6 +19,7 @@ from slefejax.conversion.nurbs import bezier_axis, spline_patches
 from slefejax.conversion.patchwork import KINDS
 from slefejax.conversion.scheme import Conversion, Scheme, convert
 from slefejax.conversion.weld import places, weld_tolerance, welded
+from slefejax.data.ring import ring
 from slefejax.data.small import (
     QUAD_EYE,
     QUAD_TARGET,
@@ -66,7 +67,7 @@ def load(
     allow_thin: Any = False,
 ) -> Scene:
     """A scene from a file (.obj, .ply, .usd…, .gltf, .glb, .json, .3dm, .bpt, .bv), a folder in MakeHuman's formats, or
-    by its built-in name (``"teapot"``, ``"walker"``, ``"twisted-quad"``, ``"steep-patch"``).
+    by its built-in name (``"teapot"``, ``"walker"``, ``"ring"``, ``"twisted-quad"``, ``"steep-patch"``).
 
     scheme, alpha, steps : of control meshes: how patches are made of them (``slefejax.conversion.scheme.convert``)
     group        : of .obj: read only the faces of these groups or objects
@@ -336,4 +337,5 @@ BUILT_IN: dict[str, Callable[[], Scene | Content]] = {
     "twisted-quad": _twisted_quad,
     "steep-patch": _steep_patch,
     "walker": walker,
+    "ring": ring,
 }

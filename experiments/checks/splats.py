@@ -56,7 +56,7 @@ def _pixels(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
 def _sides(patches: Any, view: View) -> np.ndarray:
     """Points along the sides of every patch, powers of two; 0 of those that are not in the picture."""
     net = np.asarray(patches.net if hasattr(patches, "twists") else patches)
-    screen = homogeneous(net.reshape(len(net), -1, 3)) @ np.asarray(view.world_to_screen).T
+    screen = homogeneous(net.reshape(len(net), -1, net.shape[3])) @ np.asarray(view.world_to_screen).T
     w = screen[..., 3]
     ahead = (w > 0).all(axis=1)
     flat = screen[..., :2] / np.where(w > 0, w, 1.0)[..., None]

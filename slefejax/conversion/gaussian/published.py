@@ -58,22 +58,28 @@ class Published:
         return number, at[..., 0], at[..., 1]
 
 
-def published(mesh: Mesh, depth: int = DEEPEST) -> Published:
+def published(mesh: Mesh, depth: int = DEEPEST, steps: int = 0) -> Published:
     """What the published method makes of a mesh of quads with covariances.
 
     depth : levels around irregular vertices, 1 to 10
+    steps : of subdivision before, which make quads of other faces
 
     Raises InputError for a mesh without covariances, other faces than quads, tags of sharpness, and vertices of a
     valence above 10, with their number.
     """
     if not (is_whole(depth, 1) and depth <= DEEPEST):
         raise InputError(f"depth must be a whole number from 1 to {DEEPEST}, not {depth!r}")
-    _check(mesh)
-    assert mesh.covariances is not None
+    if mesh.covariances is None:
+        raise InputError("the published method needs a covariance at every vertex, and there are none: give gaussians")
     gaussians = Gaussians(mesh.vertices, mesh.covariances)
     dual = Dual.of(gaussians)
-    quarters, table, faces = refine(mesh)
-    exact = limit_of_q(quarters, table.on_host(dual(gaussians)), depth)
+    q, quads, faces = dual(gaussians), mesh, np.arange(mesh.face_count)
+    for _ in range(steps):
+        quads, table, parents = refine(quads)
+        q, faces = table.on_host(q), faces[parents]
+    _check(quads)
+    quarters, table, parents = refine(quads)
+    exact = limit_of_q(quarters, table.on_host(q), depth)
     bad = irregular(quarters).reshape(-1, 4)
     nested = bad[:, 0] & ~bad[:, 1:].any(axis=1)
     first, order, turns = _nested(exact, nested, depth)
@@ -83,17 +89,15 @@ def published(mesh: Mesh, depth: int = DEEPEST) -> Published:
         own[turns == k] = np.rot90(own[turns == k], k, (1, 2))
     points = np.einsum("ia,jb,nabk->nijk", back, back, own, optimize=True)
     drawn = NestedNets(points.astype(np.float32), first, nested, depth, dual.origin)
-    return Published(drawn, dual, exact, faces)
+    return Published(drawn, dual, exact, faces[parents])
 
 
 def _check(mesh: Mesh) -> None:
-    if mesh.covariances is None:
-        raise InputError("the published method needs a covariance at every vertex, and there are none: give gaussians")
     other = np.flatnonzero(mesh.sizes != 4)
     if other.size:
         raise InputError(
             f"the published method takes quads only: face {mesh.numbers[other[0]]} (counted from 0) has"
-            f" {mesh.sizes[other[0]]} vertices"
+            f" {mesh.sizes[other[0]]} vertices: take a step of subdivision before"
         )
     if len(mesh.creases) or len(mesh.points):
         raise InputError("the published method has no tags of sharpness: features come from covariances")

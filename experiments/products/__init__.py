@@ -1,0 +1,1 @@
+"""Gaussian products beside their published method, and beside other ways to make a feature."""
