@@ -17,6 +17,7 @@ from slefejax.conversion.gaussian.published import DEEPEST, Published, published
 from slefejax.errors import InputError
 from slefejax.experiments.checks.mirror import reflections
 from slefejax.experiments.options import LoadOptions, OutputOptions, ViewOptions, camera_record
+from slefejax.experiments.products.feature import compared
 from slefejax.experiments.products.nested import NestedLook
 from slefejax.experiments.products.pictures import shaded, with_ellipsoids
 from slefejax.experiments.products.recursive import Recursive
@@ -28,6 +29,7 @@ from slefejax.experiments.studies.measures import over_minimal, pixels, size
 from slefejax.experiments.studies.times import milliseconds
 from slefejax.figures.checks.limit import Pictures, write_reflection_figure
 from slefejax.figures.error_image import write_error_image
+from slefejax.figures.products.feature import write_feature
 from slefejax.figures.products.gaussian import write_differences, write_levels, write_surface
 from slefejax.gpu import Device, GBuffer, Renderer, open_device
 from slefejax.model.mesh import Mesh
@@ -101,6 +103,8 @@ class GaussianOfScene:
     """Condition numbers of covariances that are tried besides the scene's own, in several orientations."""
     level: int = 5
     """The published level that they are drawn with."""
+    feature: bool = True
+    """Make one feature, the rounded edges of a cube, by covariances, by creases and by edge loops, too."""
     depth: int = DEEPEST
     """Nested levels around irregular vertices of the published method, 1 to 10."""
     tolerance: float = 0.5
@@ -126,10 +130,15 @@ class GaussianOfScene:
             found = notes + tuple(dict.fromkeys(row["_note"] for row in kept if row["_note"])) + bench.price()
             rows = [{name: row[name] for name in _COLUMNS} for row in kept]
             self._draw(run, bench, kept)
-            record = {"scene": scene.name, "notes": found, "opengl": {"renderer": device.renderer}}
+            feature = compared(tolerance=self.tolerance) if self.feature else []
+            if feature:
+                write_feature(run.file("feature.png"), feature)
+            record = {"scene": scene.name, "notes": found, "opengl": {"renderer": device.renderer}, "feature": feature}
             out = run.finish(rows, record)
         title = f"{scene.name}: Gaussian products, fixed levels as published and certified ones"
-        return Report(scene.name, out, rows, title, found, as_json=self.output.json, shown=_SHOWN)
+        more = (("one feature, three ways", feature),) if feature else ()
+        extra = {"feature": feature}
+        return Report(scene.name, out, rows, title, found, extra, self.output.json, more=more, shown=_SHOWN)
 
     def _check(self) -> None:
         for name, values in (("levels", self.levels), ("level", (self.level,))):
