@@ -8,7 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slefejax import InputError, Scene, View, convert, evaluate_patches, load
+from slefejax import (
+    InputError,
+    Pose,
+    Scene,
+    Session,
+    View,
+    convert,
+    evaluate_patches,
+    load,
+    triangle_error,
+)
 from slefejax.conversion.gaussian.published import published
 from slefejax.experiments.cli import main
 from slefejax.experiments.products.feature import RADII, box, by_covariances, by_creases, by_loops, compared
@@ -20,7 +30,7 @@ from slefejax.model.gaussians import with_gaussians
 from slefejax.model.mesh import Mesh
 from tests.meshes import disc
 from tests.test_cli import run_json
-from tests.test_gaussian import ply, torus
+from tests.test_gaussian import ply, scene_of, torus
 
 
 def cubic(t):
@@ -217,3 +227,19 @@ def test_the_study_says_what_a_method_refuses():
     assert len(conversion.patchwork.on_host(conversion.control)) == mesh.face_count
     with pytest.raises(InputError, match="stops at valence 10"):
         published(mesh, steps=0)
+
+
+@pytest.mark.gl
+def test_a_covariance_that_changes_is_sent_alone(device):
+    scene: Any = scene_of(torus(20.0, nu=6, nv=8))
+    session, changed = Session(scene), scene.conversion.mesh.covariances.copy()
+    view = View(scene.default_camera(), 160, 100)
+    session.factors(view)
+    renderer = Renderer(session.patches, device)
+    changed[0] *= 2.0
+    factors = session.factors(view, Pose(covariances=changed))
+    renderer.move(session.patches)
+    assert renderer.moved == 16, "all patches that a vertex is seen in"
+    drawn = renderer.capture(view, factors.inner, factors.edges)
+    assert np.all(triangle_error(session.patches, drawn, view) <= 0.5)
+    renderer.release()

@@ -45,31 +45,34 @@ float bernstein(int degree, int j, float t) {
     return result;
 }
 
-vec4 curve_point(int number, int i, float v) {
+vec4 curve_point(int number, int i, float weights[DEGREE_V + 1]) {
     precise vec4 sum = vec4(0.0);
     for (int j = 0; 2 * j < DEGREE_V; ++j) {
-        precise vec4 first = bernstein(DEGREE_V, j, v) * control_point(number, i, j);
-        precise vec4 last = bernstein(DEGREE_V, DEGREE_V - j, v) * control_point(number, i, DEGREE_V - j);
+        precise vec4 first = weights[j] * control_point(number, i, j);
+        precise vec4 last = weights[DEGREE_V - j] * control_point(number, i, DEGREE_V - j);
         precise vec4 both = first + last;
         sum = sum + both;
     }
     if (DEGREE_V % 2 == 0) {
-        precise vec4 middle = bernstein(DEGREE_V, DEGREE_V / 2, v) * control_point(number, i, DEGREE_V / 2);
+        precise vec4 middle = weights[DEGREE_V / 2] * control_point(number, i, DEGREE_V / 2);
         sum = sum + middle;
     }
     return sum;
 }
 
 vec4 patch_point(int number, float u, float v) {
+    float weights[DEGREE_V + 1];
+    for (int j = 0; j <= DEGREE_V; ++j)
+        weights[j] = bernstein(DEGREE_V, j, v);
     precise vec4 sum = vec4(0.0);
     for (int i = 0; 2 * i < DEGREE_U; ++i) {
-        precise vec4 first = bernstein(DEGREE_U, i, u) * curve_point(number, i, v);
-        precise vec4 last = bernstein(DEGREE_U, DEGREE_U - i, u) * curve_point(number, DEGREE_U - i, v);
+        precise vec4 first = bernstein(DEGREE_U, i, u) * curve_point(number, i, weights);
+        precise vec4 last = bernstein(DEGREE_U, DEGREE_U - i, u) * curve_point(number, DEGREE_U - i, weights);
         precise vec4 both = first + last;
         sum = sum + both;
     }
     if (DEGREE_U % 2 == 0) {
-        precise vec4 middle = bernstein(DEGREE_U, DEGREE_U / 2, u) * curve_point(number, DEGREE_U / 2, v);
+        precise vec4 middle = bernstein(DEGREE_U, DEGREE_U / 2, u) * curve_point(number, DEGREE_U / 2, weights);
         sum = sum + middle;
     }
 #if COORDINATES == 3
