@@ -27,21 +27,30 @@ class Shape(NamedTuple):
     levels: int | None = None
 
 
-def draw_program(context: Any, shape: Shape, spacing: str, owned: bool) -> Any:
-    """Draws patches of that shape into the G-buffer; owned: sides are their owners' (sides.glsl)."""
+class Options(NamedTuple):
+    """What is drawn of patches: with which spacing, with sides that are their owners' (sides.glsl), with normals."""
+
+    spacing: str
+    owned: bool
+    normals: bool
+
+
+def draw_program(context: Any, shape: Shape, options: Options) -> Any:
+    """Draws patches of that shape into the G-buffer."""
     stages = {**_STAGES, "geometry_shader": "gbuffer.geom", "fragment_shader": "gbuffer.frag"}
-    return _program(context, shape, spacing, owned, stages)
+    return _program(context, shape, options, stages)
 
 
-def capture_program(context: Any, shape: Shape, spacing: str, owned: bool) -> Any:
+def capture_program(context: Any, shape: Shape, options: Options) -> Any:
     """Writes the triangles that the tessellator makes to a storage buffer and draws nothing."""
-    return _program(context, shape, spacing, owned, {**_STAGES, "geometry_shader": "capture.geom"})
+    return _program(context, shape, options, {**_STAGES, "geometry_shader": "capture.geom"})
 
 
-def _program(context: Any, shape: Shape, spacing: str, owned: bool, stages: dict[str, str]) -> Any:
+def _program(context: Any, shape: Shape, options: Options, stages: dict[str, str]) -> Any:
     defines: dict[str, Any] = {"DEGREE_U": shape.nu - 1, "DEGREE_V": shape.nv - 1, "COORDINATES": shape.dim}
     defines |= {"TWISTS": shape.twists, "NESTED": int(shape.levels is not None), "LEVELS": shape.levels or 0}
-    defines |= {"SPACING": spacing.replace("-", "_") + "_spacing", "OWNED_SIDES": int(owned)}
+    defines |= {"SPACING": options.spacing.replace("-", "_") + "_spacing"}
+    defines |= {"OWNED_SIDES": int(options.owned), "NORMALS": int(options.normals)}
     sources = {stage: _source(name, defines) for stage, name in stages.items()}
     try:
         return context.program(**sources)

@@ -13,9 +13,9 @@ from slefejax.arguments import real_numbers, whole_numbers
 from slefejax.errors import InputError, OpenGLError
 from slefejax.geometry.view import View
 from slefejax.gpu.context import Device, open_device
-from slefejax.gpu.programs import capture_program, draw_program
+from slefejax.gpu.programs import Options, capture_program, draw_program
 from slefejax.gpu.sent import owner_records, runs, sent, sides_of
-from slefejax.gpu.strays import Strays, drawn_at, nearest_drawn
+from slefejax.gpu.strays import Strays, drawn_at, nearest_drawn, normals_at
 from slefejax.gpu.unseen import without_unseen
 from slefejax.tessellator.edges import Sides
 from slefejax.tessellator.levels import (
@@ -29,10 +29,10 @@ from slefejax.tessellator.levels import (
 
 # Software OpenGL numbers the tessellated vertices of a draw call in 16 bits and loses triangles beyond.
 VERTICES_A_DRAW = 65_536
-_RECORD = 20  # floats a captured triangle, see capture.geom
+_RECORD, _NORMALS = 20, 9  # floats a captured triangle, and how many more with normals, see capture.geom
 _PIECE = 12  # floats a piece, see patch.tesc
 _OWNERS, _PARTS = 4, 5  # bindings, see sides.glsl and nested.glsl
-_ATTACHMENTS = (4, 2)  # components of the G-buffer's parts, see gbuffer.frag
+_ATTACHMENTS = (4, 2, 4)  # components of the G-buffer's parts, see gbuffer.frag; without normals two of them
 _PROGRAMS = {"draw": draw_program, "capture": capture_program}
 
 Inner = Any  # levels (patches, 2), along u and v
@@ -49,6 +49,9 @@ class GBuffer:
     depth : float32 window depth, 1 where nothing was drawn
     drawn : float32 ``(height, width, 2)``, where the triangle's point with these parameters is drawn: so many pixels to
             the right of the pixel's centre and above it, 0 where nothing was drawn
+    normal : float32 ``(height, width, 3)``, unit normals in the scene's axes, along p_u x p_v whatever side is seen:
+             those of the surface at the vertices, undivided, interpolated with perspective (docs/math.md, 4). NaN where
+             nothing was drawn, and where the triangle has no normal. None unless they were asked for
     """
 
     u: Float[np.ndarray, "height width"]
@@ -56,6 +59,7 @@ class GBuffer:
     patch: Int[np.ndarray, "height width"]
     depth: Float[np.ndarray, "height width"]
     drawn: Float[np.ndarray, "height width 2"]
+    normal: Float[np.ndarray, "height width 3"] | None = None
 
 
 @dataclass(frozen=True)
@@ -65,11 +69,14 @@ class Triangles:
     patch      : ``(triangles,)`` int32
     parameters : ``(triangles, 3, 2)`` float32, (u, v) of each vertex
     clip       : ``(triangles, 3, 4)`` float32, its clip-space position
+    normal     : ``(triangles, 3, 3)`` float32, its normal in the scene's axes, of any length, 0 if there is none. None
+                 unless they were asked for
     """
 
     patch: Int[np.ndarray, "triangles"]
     parameters: Float[np.ndarray, "triangles 3 2"]
     clip: Float[np.ndarray, "triangles 3 4"]
+    normal: Float[np.ndarray, "triangles 3 3"] | None = None
 
 
 class Renderer:
@@ -87,6 +94,7 @@ class Renderer:
               limit, and vertices move as they change, instead of coming and going
     sides   : which curve each side is (``tessellator.edges``): vertices on it are points of its owner. If they are not
               given, sides are shared where their points are equal, or equal once raised to one degree
+    normals : whether pictures and triangles have normals, too
 
     >>> renderer = Renderer(patches)                                        # doctest: +SKIP
     >>> buffer = renderer.draw(view, factors.inner, factors.edges)          # doctest: +SKIP
@@ -96,10 +104,16 @@ class Renderer:
     """Of how many patches control points were sent when they were made or moved last: of those that changed."""
 
     def __init__(
-        self, patches: Any, device: Device | None = None, spacing: str = "equal", sides: Sides | None = None
+        self,
+        patches: Any,
+        device: Device | None = None,
+        spacing: str = "equal",
+        sides: Sides | None = None,
+        normals: bool = False,
     ) -> None:
         check_spacing(spacing)
-        self.device, self.spacing = device or open_device(), spacing
+        self.device, self.spacing, self.normals = device or open_device(), spacing, normals
+        self._attachments = _ATTACHMENTS if normals else _ATTACHMENTS[:2]
         self.device.check_thread()
         self.device.collect()
         self._sent = sent(patches)
@@ -163,7 +177,7 @@ class Renderer:
         target = self._framebuffer(view)
         target.use()
         self.device.context.enable_only(moderngl.DEPTH_TEST)
-        target.clear(0.0, 0.0, -1.0, 1.0, depth=1.0)
+        target.clear(0.0, 0.0, -1.0, 1.0, depth=1.0)  # normals are not read there
         self._render("draw", view, parts, in_pieces)
         self._drawn = (view, parts, in_pieces)
         self.device.context.finish()
@@ -174,18 +188,22 @@ class Renderer:
         if self._drawn is None:
             raise InputError("nothing was drawn since the renderer was made or its patches moved: draw, then read")
         target = self._framebuffer(view)
-        samples, drawn = (
+        parts = [
             np.frombuffer(target.read(attachment=k, components=n, dtype="f4"), np.float32).reshape(
                 *target.size[::-1], n
             )
-            for k, n in enumerate(_ATTACHMENTS)
-        )
+            for k, n in enumerate(self._attachments)
+        ]
         self.device.check_error("reading the G-buffer")
-        strays, at = Strays.of(samples, drawn)
+        strays, at = Strays.of(*parts[:2])
         if len(strays.patch):
-            samples, drawn = samples.copy(), drawn.copy()
-            samples[at], drawn[at] = self._settled(strays, samples[at], *self._drawn)
-        return GBuffer(samples[..., 0], samples[..., 1], samples[..., 2].astype(np.int32), samples[..., 3], drawn)
+            parts = [part.copy() for part in parts]
+            for part, own in zip(parts, self._settled(strays, parts[0][at], *self._drawn), strict=True):
+                part[at] = own
+        samples, drawn, *normals = parts
+        patch = samples[..., 2].astype(np.int32)
+        normal = _where_there_are(normals[0][..., :3], patch) if normals else None
+        return GBuffer(samples[..., 0], samples[..., 1], patch, samples[..., 3], drawn, normal)
 
     def capture(self, view: View, inner: Inner, outer: Outer) -> Triangles:
         """The triangles that the tessellator makes for these levels, with their clip-space positions.
@@ -209,19 +227,24 @@ class Renderer:
 
     def _settled(
         self, strays: Strays, samples: np.ndarray, view: View, parts: Pieces, in_pieces: bool
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Their samples with the parameters of the nearest points of their triangles, and where these are drawn."""
-        corners = strays.triangles(parts, lambda some: self._captured(view, some, in_pieces))
-        place = nearest_drawn(*corners, strays.place).astype(np.float32)
-        screen = drawn_at(*corners, place.astype(float)) * [0.5 * view.width, 0.5 * view.height]
-        return np.column_stack([place, strays.patch, samples[:, 3]]), screen - strays.centre
+    ) -> list[np.ndarray]:
+        """All parts of them in the G-buffer: of the nearest points of their triangles, and where these are drawn."""
+        corners, clip, normals = strays.triangles(parts, lambda some: self._captured(view, some, in_pieces))
+        place = nearest_drawn(corners, clip, strays.place).astype(np.float32)
+        screen = drawn_at(corners, clip, place.astype(float)) * [0.5 * view.width, 0.5 * view.height]
+        found = [np.column_stack([place, strays.patch, samples[:, 3]]), screen - strays.centre]
+        if normals is not None:
+            normal = normals_at(corners, normals, place.astype(float))
+            found.append(np.column_stack([normal, np.zeros(len(normal))]))
+        return found
 
     def _captured(self, view: View, parts: Pieces, in_pieces: bool) -> Triangles:
         """Triangles of pieces, their vertices placed as in a picture that has cut patches in it, or none."""
         context = self.device.context
         expected = int(triangle_counts(parts.inner, parts.outer, self.spacing).sum())
         counter = context.buffer(np.zeros(1, np.uint32).tobytes())
-        records = context.buffer(reserve=4 * _RECORD * max(1, expected))
+        size = _RECORD + (_NORMALS if self.normals else 0)
+        records = context.buffer(reserve=4 * size * max(1, expected))
         counter.bind_to_storage_buffer(2)
         records.bind_to_storage_buffer(3)
         self._framebuffer(view).use()
@@ -232,11 +255,12 @@ class Renderer:
         self.device.check_error("capturing triangles")
         if count != expected:
             raise OpenGLError(f"{self.device.renderer} made {count} triangles where OpenGL prescribes {expected}")
-        data = np.frombuffer(records.read(), np.float32).reshape(-1, _RECORD)[:count]
+        data = np.frombuffer(records.read(), np.float32).reshape(-1, size)[:count]
         counter.release()
         records.release()
         vertices = data[:, :18].reshape(-1, 3, 6)
-        return Triangles(data[:, 18].astype(np.int32), vertices[..., :2], vertices[..., 2:])
+        normal = data[:, _RECORD:].reshape(-1, 3, 3) if self.normals else None
+        return Triangles(data[:, 18].astype(np.int32), vertices[..., :2], vertices[..., 2:], normal)
 
     def _parts(self, view: View, inner: Inner, outer: Outer) -> tuple[Pieces, bool]:
         """What is to be drawn, and whether patches are cut, seen or not: then all vertices are placed at k/n."""
@@ -281,8 +305,8 @@ class Renderer:
 
     def _array(self, name: str) -> Any:
         if name not in self._arrays:
-            owned = _OWNERS in self._buffers
-            program = _PROGRAMS[name](self.device.context, self._sent.shape, self.spacing, owned)
+            options = Options(self.spacing, _OWNERS in self._buffers, self.normals)
+            program = _PROGRAMS[name](self.device.context, self._sent.shape, options)
             self._arrays[name] = self.device.context.vertex_array(program, [(self._numbers, "i", "number")])
         return self._arrays[name]
 
@@ -297,7 +321,7 @@ class Renderer:
                     f" its limit is {self.device.largest_picture} pixels a side"
                 )
             try:
-                colours = [context.renderbuffer(size, components, dtype="f4") for components in _ATTACHMENTS]
+                colours = [context.renderbuffer(size, components, dtype="f4") for components in self._attachments]
                 self._target = (size, context.framebuffer(colours, context.depth_renderbuffer(size)))
             except moderngl.Error:
                 _ = context.error  # OpenGL remembers that it ran out of memory
@@ -331,6 +355,14 @@ class Renderer:
         limit = MOST_LEVEL if self.spacing == "equal" else highest_level(self.spacing, self.device.highest_level)
         check_levels(levels, limit)
         return inner, outer
+
+
+def _where_there_are(
+    normals: Float[np.ndarray, "height width 3"], patch: Int[np.ndarray, "height width"]
+) -> Float[np.ndarray, "height width 3"]:
+    """Normals, NaN where there is none."""
+    there = (patch >= 0) & np.any(normals != 0, axis=2)
+    return np.where(there[..., None], normals, np.float32(np.nan))
 
 
 def check_levels(levels: Real[np.ndarray, "patches"], highest: int = MOST_LEVEL) -> None:

@@ -52,8 +52,11 @@ class Strays(NamedTuple):
         patch = (-2 - samples[at][:, 2]).astype(np.int64)
         return Strays(patch, drawn[at].astype(float), samples[at][:, :2].astype(float), centre), at
 
-    def triangles(self, parts: Pieces, capture: Callable[[Pieces], Any]) -> tuple[np.ndarray, np.ndarray]:
-        """Parameters ``(pixels, 3, 2)`` and clip-space positions ``(pixels, 3, 4)`` of the corners of their triangles.
+    def triangles(
+        self, parts: Pieces, capture: Callable[[Pieces], Any]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Parameters ``(pixels, 3, 2)`` and clip-space positions ``(pixels, 3, 4)`` of the corners of their triangles,
+        and normals ``(pixels, 3, 3)`` if these have some.
 
         parts   : all pieces that were drawn
         capture : makes the triangles of some of them, ``slefejax.gpu.Triangles``
@@ -66,6 +69,7 @@ class Strays(NamedTuple):
         parts, count = self._own(parts), len(self.patch)
         wanted = np.column_stack([_APART * self.patch, self.corners])
         nearest, parameters, clip = np.full(count, np.inf), np.zeros((count, 3, 2)), np.zeros((count, 3, 4))
+        normals = None
         for first in range(0, len(parts.patch), _AT_ONCE):
             made = capture(Pieces(*(x[first : first + _AT_ONCE] for x in parts)))
             known = np.column_stack([_APART * made.patch, made.parameters.sum(axis=1, dtype=float)])
@@ -73,9 +77,12 @@ class Strays(NamedTuple):
             closer = apart < nearest
             nearest[closer] = apart[closer]
             parameters[closer], clip[closer] = made.parameters[which[closer]], made.clip[which[closer]]
+            if made.normal is not None:
+                normals = np.zeros((count, 3, 3)) if normals is None else normals
+                normals[closer] = made.normal[which[closer]]
         if np.any(nearest > _SAME):
             raise OpenGLError("the tessellator does not make the same triangles twice: what was drawn is not known")
-        return _with_area(parameters), clip
+        return _with_area(parameters), clip, normals
 
     def _own(self, parts: Pieces) -> Pieces:
         """The pieces that their triangles are in."""
@@ -143,6 +150,17 @@ def drawn_at(
     """X/W and Y/W of the points of triangles with these parameters."""
     position = _at(linear_functions(parameters, clip), place[:, None])[:, 0]
     return position[:, :2] / position[:, 3:]
+
+
+def normals_at(
+    parameters: Float[np.ndarray, "pixels 3 2"],
+    normals: Float[np.ndarray, "pixels 3 3"],
+    place: Float[np.ndarray, "pixels 2"],
+) -> Float[np.ndarray, "pixels 3"]:
+    """Unit normals of triangles with these at their corners, undivided; 0 where there is none."""
+    found = _at(linear_functions(parameters, normals), place[:, None])[:, 0]
+    length = np.linalg.norm(found, axis=1, keepdims=True)
+    return found / np.where(length > 0, length, 1.0)
 
 
 def linear_functions(

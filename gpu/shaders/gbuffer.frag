@@ -9,6 +9,11 @@ uniform vec2 half_picture;  // pixels
 layout(location = 0) out vec4 sample_;
 // where the point with these parameters is drawn: pixels to the right of the pixel's centre, and above it
 layout(location = 1) out vec2 drawn;
+#if NORMALS
+in vec3 normal;
+// 0 if there is none
+layout(location = 2) out vec4 unit_normal;
+#endif
 
 // Of a barycentric coordinate: at the finest levels, 16,384, parameters are rounded to so much of a triangle.
 const float ROUNDING = 1.0 / 1024.0;
@@ -30,4 +35,9 @@ void main() {
     drawn = inside ? (position.xy * half_picture - centre * position.w) / position.w
                    : first_corners.xy + first_corners.zw + last_corner.xy;
     sample_ = vec4(place, inside ? last_corner.z : -2.0 - last_corner.z, gl_FragCoord.z);
+#if NORMALS
+    // squares of small numbers would vanish
+    float size = max(abs(normal.x), max(abs(normal.y), abs(normal.z)));
+    unit_normal = size > 0.0 ? vec4(normalize(normal / size), 0.0) : vec4(0.0);
+#endif
 }

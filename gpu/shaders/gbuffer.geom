@@ -10,14 +10,24 @@ flat out vec4 corner_clip[3];
 // u and v of the three corners, one after the other; the patch number, exact below 2^24, and a blank
 flat out vec4 first_corners;
 flat out vec4 last_corner;
+#if NORMALS
+in vec3 undivided[];
+out vec3 normal;
+#endif
 
 void main() {
     for (int k = 0; k < 2; ++k) {
         place = parameter[k];
+#if NORMALS
+        normal = undivided[k];
+#endif
         gl_Position = gl_in[k].gl_Position;
         EmitVertex();
     }
     place = parameter[2];
+#if NORMALS
+    normal = undivided[2];
+#endif
     gl_Position = gl_in[2].gl_Position;
     // what is flat is taken from the last vertex
     for (int k = 0; k < 3; ++k)

@@ -12,6 +12,9 @@ layout(quads, SPACING, ccw) in;
 #else
 #define drawn_point patch_point
 #endif
+#if NORMALS && !NESTED
+#include "normal.glsl"
+#endif
 
 patch in int tessellated_patch;
 patch in ivec4 piece;
@@ -22,6 +25,9 @@ uniform bool in_pieces;
 
 out vec2 parameter;
 flat out int patch_number;
+#if NORMALS
+out vec3 undivided;
+#endif
 
 void main() {
     parameter = in_pieces ? place_in_patch(gl_TessCoord.xy, piece, inner_levels, outer_levels) : gl_TessCoord.xy;
@@ -29,4 +35,7 @@ void main() {
     // Undivided and homogeneous: the rasteriser then interpolates the parameters with perspective.
     precise vec4 position = to_clip * drawn_point(tessellated_patch, parameter.x, parameter.y);
     gl_Position = position;
+#if NORMALS
+    undivided = patch_normal(tessellated_patch, parameter, 1.0 / vec2(inner_levels * piece.zw));
+#endif
 }
