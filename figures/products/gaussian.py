@@ -84,7 +84,13 @@ def write_differences(path: Path, rows: list[Row], image: Callable[[Row], Path])
             )
         for condition, axes in zip(conditions, grid[0], strict=True):
             axes.annotate(
-                f"condition {condition:g}", (0.5, 1.22), xycoords="axes fraction", ha="center", fontweight="bold"
+                f"condition {condition:g}",
+                (0.5, 1.0),
+                (0, 30),
+                "axes fraction",
+                "offset points",
+                ha="center",
+                fontweight="bold",
             )
         error_legend(figure)
         figure.suptitle(f"{rows[0]['scene']}: error of every pixel over anisotropies of the covariances")

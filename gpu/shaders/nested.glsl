@@ -21,6 +21,20 @@ mat3 symmetric(float q[9]) {
     return mat3(q[0], q[1], q[2], q[1], q[3], q[4], q[2], q[4], q[5]);
 }
 
+// Q mu = h by Q = L D L^T: the inverse by cofactors loses twice as many digits where Gaussians are long or flat.
+vec3 solved(float q[9]) {
+    float l10 = q[1] / q[0], l20 = q[2] / q[0];
+    float d1 = q[3] - l10 * q[1];
+    float rest = q[4] - l20 * q[1];
+    float l21 = rest / d1;
+    float d2 = q[5] - l20 * q[2] - l21 * rest;
+    float y1 = q[7] - l10 * q[6];
+    float y2 = q[8] - l20 * q[6] - l21 * y1;
+    float z = y2 / d2;
+    float y = y1 / d1 - l21 * z;
+    return vec3(q[6] / q[0] - l10 * y - l20 * z, y, z);
+}
+
 // A place of a net, and how often larger than the square's its parameters are.
 struct Place {
     int net;
@@ -58,8 +72,7 @@ vec4 patch_point(int number, float u, float v) {
         for (int j = 0; j < 4; ++j)
             for (int k = 0; k < 9; ++k)
                 q[k] += along_u[i] * along_v[j] * nets[(16 * net + 4 * i + j) * 9 + k];
-    mat3 precision_ = symmetric(q);
-    return vec4(inverse(precision_) * vec3(q[6], q[7], q[8]), 1.0);
+    return vec4(solved(q), 1.0);
 }
 
 #if NORMALS
@@ -86,10 +99,9 @@ vec3 patch_normal(int number, vec2 at, vec2 step) {
                 by_u[k] += low_u[i] * v[j] * (nets[(16 * place.net + 4 * min(i + 1, 3) + j) * 9 + k] - own);
                 by_v[k] += u[i] * low_v[j] * (nets[(16 * place.net + 4 * i + min(j + 1, 3)) * 9 + k] - own);
             }
-    mat3 precision_ = symmetric(q);
-    vec3 mu = inverse(precision_) * vec3(q[6], q[7], q[8]);
+    vec3 mu = solved(q);
     vec3 a = vec3(by_u[6], by_u[7], by_u[8]) - symmetric(by_u) * mu;
     vec3 b = vec3(by_v[6], by_v[7], by_v[8]) - symmetric(by_v) * mu;
-    return place.scale * place.scale * (precision_ * cross(a, b));
+    return place.scale * place.scale * (symmetric(q) * cross(a, b));
 }
 #endif
