@@ -16,8 +16,10 @@ import pytest
 from slefejax import GregoryPatches, InputError, tessellation_factors
 from slefejax.bounds import parts, twists
 from slefejax.experiments.attack import attack as command
+from slefejax.experiments.attack import batch as attack_batch
 from slefejax.experiments.attack import claims as attack_claims
 from slefejax.experiments.attack import climb as attack_climb
+from slefejax.experiments.attack import products as attack_products
 from slefejax.experiments.attack import settings as attack_settings
 from slefejax.experiments.attack.batch import attack
 from slefejax.experiments.attack.claims import claimed, rng_of, scene_of
@@ -238,6 +240,53 @@ def test_twist_errors_that_are_a_quarter_are_found_and_reproduce(family, small_t
     now = run_script(tmp_path, worst)
     assert now.returncode == 0, now.stderr
     assert 0.1 < float(now.stdout.split()[-1]) <= 1.0
+
+
+@pytest.fixture
+def halved(monkeypatch):
+    """Half of what factors are."""
+
+    def asked(*arguments, **options):
+        found = tessellation_factors(*arguments, **options)
+        return replace(found, factor=found.factor * 0.5)
+
+    monkeypatch.setattr(attack_settings, "tessellation_factors", asked)
+
+
+@pytest.fixture
+def no_weights(monkeypatch):
+    """Gaussian products made into polynomial patches with their control points."""
+    own = attack_products.rational_net
+    monkeypatch.setattr(attack_products, "rational_net", lambda q: own(q) / own(q)[:, :, 3:])
+
+
+@pytest.mark.slow
+def test_gaussian_products_hold():
+    found = attack("gaussian", "tiles-1", 3)
+    assert found["violations"] == 0
+    assert found["pairs"] > 1000
+    assert 0.5 < found["worst_ratio"] <= 1.0
+
+
+@pytest.mark.parametrize("fault", [pytest.param("halved", marks=pytest.mark.slow), "no_weights"])
+def test_faults_of_gaussian_products_are_found_and_reproduce(fault, request, tmp_path):
+    request.getfixturevalue(fault)
+    found = attack("gaussian", "tiles-1", 3)
+    check_found(found, most=1056)
+    worst = {**found["offenders"][0], "setting": "tiles-1"}
+    then = run_script(tmp_path, worst, "--claimed")
+    assert then.returncode == 1, then.stderr
+    assert float(then.stdout.split()[-1]) == pytest.approx(worst["ratio"], rel=1e-6)
+
+
+@pytest.mark.slow
+def test_a_drawn_gaussian_product_reproduces(monkeypatch, tmp_path):
+    """Whatever comes as near as a hundredth of the tolerance stands for an offender."""
+    monkeypatch.setattr(attack_batch, "ALLOWANCE", -0.99)
+    worst = {**attack("gaussian", "drawn-small", 3)["offenders"][0], "setting": "drawn-small"}
+    then = run_script(tmp_path, worst, "--claimed")
+    assert then.returncode == 0, then.stderr
+    assert float(then.stdout.split()[-1]) == pytest.approx(worst["ratio"], rel=1e-6)
 
 
 @pytest.mark.slow

@@ -11,8 +11,8 @@ import pytest
 from slefejax import sampled_error
 from slefejax.experiments.attack import judge as attack_judge
 from slefejax.experiments.attack.judge import Look, Screen, judge_triangles, judge_uniform, settled
-from slefejax.experiments.attack.nets import nets
-from slefejax.experiments.attack.views import VIEWS, view_of
+from slefejax.experiments.attack.nets import moved, nets
+from slefejax.experiments.attack.views import VIEWS, elsewhere, view_of
 from slefejax.experiments.checks import reference
 
 FLAT_ON = Look((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 4000.0, 0.1, 10.1, False, 4000, 4000)  # 1 px a unit
@@ -107,6 +107,22 @@ def test_gregory_patches(family, rng):
     for k in np.flatnonzero(found.ratio > 0):
         exact = settled(patches[[k]], look, (0.5, None), found.triangle[k], found.share[k])
         assert found.ratio[k] == pytest.approx(exact, rel=1e-9)
+
+
+def test_gaussian_products(rng):
+    """From q it finds what the other measure finds from rational patches, and sixty digits agree."""
+    nets_of_q, look = nets("gaussian", rng, (3, 3), np.full(6, 0.4)), VIEWS["around"](rng)
+    products = moved(nets_of_q, 3.0, np.array([50.0, 0.0, -20.0]))
+    look = elsewhere(look, 3.0, np.array([50.0, 0.0, -20.0]))
+    cuts = square_cuts(1, 2, 5, 9, 12, 20)
+    found = judge_uniform(Screen.of(products, look, 0.5), cuts)
+    wanted = sampled_error(products.patches(), cuts[:, 0], view_of(look)) / 0.5
+    np.testing.assert_allclose(found.ratio, wanted, rtol=0.1)  # on narrow ridges both fall short
+    for k in np.flatnonzero(found.ratio > 0):
+        exact = settled(products[[k]], look, (0.5, None), found.triangle[k], found.share[k])
+        assert found.ratio[k] == pytest.approx(exact, rel=1e-9)
+    one = judge_triangles(Screen.of(products, look, 0.5), np.arange(6), found.triangle)
+    np.testing.assert_allclose(one.ratio, found.ratio, rtol=0.1)
 
 
 def test_what_is_not_seen_has_no_error():

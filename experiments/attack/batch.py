@@ -13,6 +13,7 @@ from slefejax import GregoryPatches
 from slefejax.experiments.attack.claims import Claim, Rng, Scene, claim_of, claimed, rng_of, scene_of
 from slefejax.experiments.attack.drawn import judged_levels
 from slefejax.experiments.attack.judge import ALLOWANCE, Found, Screen, judge_uniform, settled
+from slefejax.experiments.attack.products import ProductNets
 from slefejax.experiments.attack.settings import SETTINGS, Setting
 from slefejax.experiments.store import Row
 
@@ -169,9 +170,12 @@ def outcome(
 
 
 def _lists(patches: Any) -> Row:
-    """Control points, and twists of Gregory patches."""
+    """Control points, twists of Gregory patches, and what Gaussian products are made of."""
     if isinstance(patches, GregoryPatches):
         return _lists(patches.net) | {"twists": patches.twists.astype(np.float64).tolist()}
+    if isinstance(patches, ProductNets):
+        numbers = {name: getattr(patches, name).tolist() for name in ("gaussians", "scale", "offset")}
+        return _lists(patches.patches()) | {"products": numbers}
     return {"patches": patches.astype(np.float64).tolist()}
 
 

@@ -12,6 +12,7 @@ from slefejax.experiments.attack.batch import MOST_OFFENDERS, judged_uniform, ou
 from slefejax.experiments.attack.claims import Claim, Rng, claim_of, degrees_of, tolerance_for
 from slefejax.experiments.attack.judge import Look
 from slefejax.experiments.attack.nets import nets
+from slefejax.experiments.attack.products import ProductNets
 from slefejax.experiments.attack.settings import Setting
 from slefejax.experiments.attack.views import VIEWS
 from slefejax.experiments.store import Row
@@ -66,12 +67,16 @@ def climb(family: str, setting: Setting, seed: int, rng: Rng) -> Row:
 
 
 def _stepped(climbers: Climbers, rng: Rng) -> Any:
-    """Some control points moved, twists too; weights by a factor."""
+    """Some control points moved, twists too; weights by a factor; Gaussians and their means."""
     if isinstance(climbers.nets, GregoryPatches):
         twists = climbers.nets.twists
         size = climbers.stride[:, None, None] * (rng.uniform(size=twists.shape[:2]) < _MOVED)[..., None]
         net = _stepped(climbers._replace(nets=climbers.nets.net), rng)
         return GregoryPatches(net, twists + size * rng.normal(size=twists.shape))
+    if isinstance(climbers.nets, ProductNets):
+        count = len(climbers.nets)
+        moved = rng.uniform(size=(count, 4, 4, 1)) < _MOVED
+        return climbers.nets.stepped(rng, climbers.stride[:, None, None, None] * moved)
     size = climbers.stride[:, None, None, None] * (rng.uniform(size=climbers.nets.shape[:3]) < _MOVED)[..., None]
     moves = rng.normal(size=climbers.nets.shape)
     if climbers.nets.shape[3] == 3:

@@ -22,7 +22,7 @@ import numpy as np
 ALLOWANCE = 4e-9  # a ratio of at most 1 + this is not held against anyone
 NEAR = 0.9  # ratios from which on double precision is not enough
 _UNSEEN = -1.0
-_FINEST = 24  # samples along each side of a patch, at least
+_FINEST, _FINEST_PRODUCT = 24, 96  # samples along each side of a patch, at least; Gaussian products have narrow ridges
 _MOST_LINES = 96  # cells along u and v that are looked at; of finer grids so many are drawn by lot
 _BLOCK = 2**17  # samples at once
 _KEPT = 3  # places of a pair that are looked at more closely
@@ -48,47 +48,86 @@ class Look(NamedTuple):
     height: int
 
 
+class Surface(NamedTuple):
+    """Rows X, Y, Z over their tolerances, from the picture's centre and half the depth, and W, of some patches.
+
+    net    : ``(pairs, du+1, dv+1, 4)``; of Gaussian products 9, the entries 11, 12, 13, 22, 23, 33 of Q, then h
+    twists : ``(pairs, slots, 4)``, of Gregory patches; no slots of others
+    lens   : ``(pairs, 4, 4)``, of Gaussian products: from det Q times (Q^-1 h, 1) to rows; ``(pairs, 0, 4)`` of others
+    """
+
+    net: np.ndarray
+    twists: np.ndarray
+    lens: np.ndarray
+
+    def only(self, chosen: Any) -> Surface:
+        """Some of them."""
+        return Surface(*(x[chosen] for x in self))
+
+    def astype(self, dtype: Any) -> Surface:
+        """In another precision."""
+        return Surface(*(x.astype(dtype) for x in self))
+
+    def at(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Rows ``(pairs, places, 4)`` at u and v ``(pairs, places)``."""
+        count, nu, nv, parts = self.net.shape
+        along = np.matmul(_bernstein(nu - 1, u), self.net.reshape(count, nu, nv * parts)).reshape(count, -1, nv, parts)
+        found = np.sum(_bernstein(nv - 1, v)[..., None] * along, axis=2)
+        if self.lens.shape[1]:
+            return _solved(found) @ np.swapaxes(self.lens, 1, 2)
+        if self.twists.shape[1]:
+            found += np.matmul(np.stack(_turning(self.twists.shape[1], u, v), axis=2), self.twists)
+        return found
+
+    def on_grid(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Rows ``(4, pairs, nu, nv)`` at all pairs of u ``(nu,)`` and v ``(nv,)``."""
+        net = np.moveaxis(self.net, 3, 0)
+        by_u, by_v = (_bernstein(net.shape[2 + axis] - 1, t) for axis, t in enumerate((u, v)))
+        points = np.matmul(np.matmul(by_u, net), by_v.T)
+        if self.lens.shape[1]:
+            return np.moveaxis(_solved(np.moveaxis(points, 0, -1)) @ np.swapaxes(self.lens, 1, 2)[:, None], -1, 0)
+        if self.twists.shape[1]:
+            terms = np.stack(_turning(self.twists.shape[1], u[:, None], v[None]))
+            points = points + np.einsum("skl,psr->rpkl", terms, self.twists)
+        return points
+
+    def sizes(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """What the terms of rows add up to at most, ``(pairs, 4)``, at places ``(pairs, places)``."""
+        if not self.lens.shape[1]:
+            return np.abs(self.net).max(axis=(1, 2), initial=0) + np.abs(self.twists).sum(axis=1)
+        q = self._replace(lens=self.lens[:, :0]).at(u, v)
+        found = np.abs(_solved(q)) * _condition(q)[..., None]
+        return np.max(found @ np.swapaxes(np.abs(self.lens), 1, 2), axis=1)
+
+
 class Screen(NamedTuple):
     """Patches as seen, one a pair of patch and view.
 
-    rows : ``(pairs, du+1, dv+1, 4)`` long double: X, Y, Z over their tolerances, from the picture's centre and half
-           the depth, and W
-    half : ``(pairs, 3)`` long double: the picture's half width, half height and half depth over the tolerances
-    twists : ``(pairs, slots, 4)`` likewise, of Gregory patches; no slots of others
+    surface  : their rows, in long double
+    half     : ``(pairs, 3)`` long double: the picture's half width, half height and half depth over the tolerances
     compared : 2, or 3 where depth is held to a tolerance too
     """
 
-    rows: np.ndarray
+    surface: Surface
     half: np.ndarray
-    twists: np.ndarray
     compared: int
 
     @staticmethod
     def of(patches: Any, look: Look, tolerance: float, depth_tolerance: float | None = None) -> Screen:
-        """Of patches ``(patches, du+1, dv+1, 3)``, or 4 at the end if rational, or ``GregoryPatches``, each number
-        taken as exact."""
-        patches, twists = parts_of(patches)
-        matrix, half = _camera(look, _long, np.tan)
-        scale = _long([tolerance, tolerance, 1.0 if depth_tolerance is None else depth_tolerance])
-        points = _long(patches)
-        weight = points[..., 3:] if patches.shape[3] == 4 else np.ones_like(points[..., :1])
-        beside = points[..., :3] - weight * _long(look.eye)
-        rows = np.concatenate([beside, weight], axis=3) @ matrix.T
-        rows[..., :3] /= scale
-        half = np.broadcast_to(half / scale, (len(patches), 3))
-        turned = _long(twists) @ matrix[:, :3].T
-        turned[..., :3] /= scale
-        return Screen(rows, half, turned, 2 if depth_tolerance is None else 3)
+        """Of patches ``(patches, du+1, dv+1, 3)``, or 4 at the end if rational, ``GregoryPatches``, or
+        ``ProductNets``, each number taken as exact."""
+        surface, half = _seen(patches, look, (tolerance, depth_tolerance), _long, np.tan)
+        return Screen(surface, np.broadcast_to(half, (len(patches), 3)), 2 if depth_tolerance is None else 3)
 
     @staticmethod
     def joined(parts: list[Screen]) -> Screen:
         """The pairs of several views."""
-        rows, half, twists = (np.concatenate([part[k] for part in parts]) for k in (0, 1, 2))
-        return Screen(rows, half, twists, parts[0].compared)
+        surface = Surface(*(np.concatenate(x) for x in zip(*(part.surface for part in parts), strict=True)))
+        return Screen(surface, np.concatenate([part.half for part in parts]), parts[0].compared)
 
     def only(self, chosen: Any) -> Screen:
         """Some of the pairs."""
-        return Screen(self.rows[chosen], self.half[chosen], self.twists[chosen], self.compared)
+        return Screen(self.surface.only(chosen), self.half[chosen], self.compared)
 
 
 class Found(NamedTuple):
@@ -110,10 +149,11 @@ def judge_uniform(screen: Screen, cuts: np.ndarray, seed: int = 0) -> Found:
     """
     places = []
     rng = np.random.default_rng(seed)
+    finest = _FINEST_PRODUCT if screen.surface.lens.shape[1] else _FINEST
     for cut in np.unique(cuts, axis=0):
         own = np.flatnonzero(np.all(cuts == cut, axis=1))
         lines = [_lines(int(n), rng) for n in cut]
-        order = 2 * int(np.ceil(_FINEST / (2 * min(_FINEST / 2, cut.min()))))
+        order = 2 * int(np.ceil(finest / (2 * min(finest / 2, cut.min()))))
         step = max(1, _BLOCK // (len(lines[0]) * len(lines[1]) * len(_samples(order))))
         for at in range(0, len(own), step):
             block = own[at : at + step]
@@ -126,10 +166,11 @@ def judge_triangles(screen: Screen, pair: np.ndarray, parameters: np.ndarray) ->
     places = []
     long = np.ptp(parameters, axis=1).max(axis=1, initial=0.0) > _LONG_TRIANGLE
     order = np.argsort(pair, kind="stable")
-    starts = np.searchsorted(pair[order], np.arange(len(screen.rows) + 1))
-    for k in range(len(screen.rows)):
+    starts = np.searchsorted(pair[order], np.arange(len(screen.half) + 1))
+    short = _CLOSE if screen.surface.lens.shape[1] else _COARSE
+    for k in range(len(screen.half)):
         own = order[starts[k] : starts[k + 1]]
-        for lattice, chosen in ((_shares(12), own[long[own]]), (_COARSE, own[~long[own]])):
+        for lattice, chosen in ((_shares(12), own[long[own]]), (short, own[~long[own]])):
             for at in range(0, len(chosen), max(1, _BLOCK // len(lattice))):
                 block = chosen[at : at + max(1, _BLOCK // len(lattice))]
                 places.append(_worst_of_triangles(screen, k, parameters[block], lattice))
@@ -262,14 +303,24 @@ def _bernstein(degree: int, t: np.ndarray) -> np.ndarray:
     return np.array([comb(degree, int(j)) for j in k]).astype(t.dtype) * t**k * (1 - t) ** (degree - k)
 
 
-def _evaluated(rows: np.ndarray, twists: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Rows ``(n, places, 4)`` of ``(n, du+1, dv+1, 4)`` and twists at u and v ``(n, places)``."""
-    count, nu, nv, _ = rows.shape
-    along = np.matmul(_bernstein(nu - 1, u), rows.reshape(count, nu, nv * 4)).reshape(count, -1, nv, 4)
-    found = np.sum(_bernstein(nv - 1, v)[..., None] * along, axis=2)
-    if twists.shape[1]:
-        found += np.matmul(np.stack(_turning(twists.shape[1], u, v), axis=2), twists)
-    return found
+def _seen(
+    patches: Any, look: Look, tolerances: tuple[float, float | None], exact: Any, tan: Any
+) -> tuple[Surface, np.ndarray]:
+    """The rows of patches, and half the picture over the tolerances, in the precision that ``exact`` makes."""
+    matrix, half = _camera(look, exact, tan)
+    pixels, depth = tolerances
+    scale, eye = exact([pixels, pixels, 1.0 if depth is None else depth]), exact(look.eye)
+    matrix[:3] = matrix[:3] / scale[:, None]
+    none = exact(np.zeros((len(patches), 0, 4)))
+    if hasattr(patches, "gaussians"):
+        size, place = exact(patches.scale)[:, None, None], exact(patches.offset) - eye
+        lens = np.concatenate([matrix[:, :3] * size, (place @ matrix[:, :3].T + matrix[:, 3])[..., None]], axis=2)
+        return Surface(exact(patches.gaussians), none, lens), half / scale
+    points, twists = parts_of(patches)
+    net = exact(points)
+    weight = net[..., 3:] if net.shape[3] == 4 else exact(np.ones((*net.shape[:3], 1)))
+    rows = np.concatenate([net[..., :3] - weight * eye, weight], axis=3) @ matrix.T
+    return Surface(rows, exact(twists) @ matrix[:, :3].T, none), half / scale
 
 
 def parts_of(patches: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -277,6 +328,28 @@ def parts_of(patches: Any) -> tuple[np.ndarray, np.ndarray]:
     if hasattr(patches, "twists"):
         return np.asarray(patches.net), np.asarray(patches.twists)
     return patches, np.zeros((len(patches), 0, 3))
+
+
+def _solved(q: np.ndarray) -> np.ndarray:
+    """det Q times (Q^-1 h, 1) of ``(..., 9)``: Q = L D L^T, whose pivots are positive."""
+    a, b, c, d, e, f, x, y, z = np.moveaxis(q, -1, 0)
+    l21, l31 = b / a, c / a
+    second, under = d - l21 * b, e - l21 * c
+    l32 = under / second
+    third = f - l31 * c - l32 * under
+    y = y - l21 * x
+    z = (z - l31 * x - l32 * y) / third
+    y = y / second - l32 * z
+    x = x / a - l21 * y - l31 * z
+    w = a * second * third
+    return np.stack([w * x, w * y, w * z, w], axis=-1)
+
+
+def _condition(q: np.ndarray) -> np.ndarray:
+    """At least the condition number of Q, ``(...)``, and at most nine times it: trace Q times that of its inverse."""
+    a, b, c, d, e, f = np.moveaxis(q[..., :6], -1, 0)
+    minors = (a * d - b * b) + (a * f - c * c) + (d * f - e * e)
+    return (a + d + f) * np.abs(minors) / _solved(q)[..., 3]
 
 
 def _turning(slots: int, u: Any, v: Any) -> list[Any]:
@@ -316,14 +389,9 @@ def _worst_of_cells(
 ) -> _Places:
     """The largest samples of each pair on some rows and columns of cells."""
     samples = _samples(order)
-    rows = np.moveaxis(screen.rows.astype(np.float64), 3, 0)
     steps = np.arange(order + 1) / order
     places = [((line[:, None] + steps) / n).ravel() for line, n in zip(lines, cut, strict=True)]
-    by_u, by_v = (_bernstein(rows.shape[2 + axis] - 1, t) for axis, t in enumerate(places))
-    points = np.matmul(np.matmul(by_u, rows), by_v.T)
-    if screen.twists.shape[1]:
-        terms = np.stack(_turning(screen.twists.shape[1], places[0][:, None], places[1][None]))
-        points = points + np.einsum("skl,psr->rpkl", terms, screen.twists.astype(np.float64))
+    points = screen.surface.astype(np.float64).on_grid(*places)
     points = points.reshape(4, len(pair), len(lines[0]), order + 1, len(lines[1]), order + 1).swapaxes(3, 4)
     corners = points[..., ::order, ::order].reshape(*points.shape[:4], 4)
     weights = np.zeros((4, len(samples)))
@@ -349,8 +417,8 @@ def _worst_of_triangles(screen: Screen, pair: int, parameters: np.ndarray, latti
     """The largest samples of one pair."""
     shares = np.concatenate([np.eye(3), lattice])
     where = np.einsum("sk,tkc->cts", shares, parameters)
-    rows, twists = (x[pair : pair + 1].astype(np.float64) for x in (screen.rows, screen.twists))
-    points = _evaluated(rows, twists, where[0].reshape(1, -1), where[1].reshape(1, -1)).reshape(*where.shape[1:], 4)
+    surface = screen.surface.only(slice(pair, pair + 1)).astype(np.float64)
+    points = surface.at(where[0].reshape(1, -1), where[1].reshape(1, -1)).reshape(*where.shape[1:], 4)
     points = np.moveaxis(points, 2, 0)
     half = screen.half[pair].astype(np.float64)
     ratio = _ratio(points[..., 3:], points[..., :3] @ lattice.T, half, screen.compared).ravel()
@@ -361,21 +429,19 @@ def _worst_of_triangles(screen: Screen, pair: int, parameters: np.ndarray, latti
 
 def _closer(screen: Screen, places: _Places) -> Found:
     """The largest ratio of each pair: every place is zoomed into, those near 1 in long double."""
-    sizes = np.abs(screen.rows).max(axis=(1, 2), initial=0).astype(np.float64)
-    sizes += np.abs(screen.twists).sum(axis=1).astype(np.float64)
-    step = max(1, 2**21 // (len(_CLOSE) * screen.rows[0].size))
+    step = max(1, 2**21 // (len(_CLOSE) * screen.surface.net[0].size))
     blocks = []
     for at in range(0, len(places.pair), step):
         block = places.only(np.arange(at, min(at + step, len(places.pair))))
         block = _zoomed(screen, block, np.float64, 0.5, _ZOOMS)
-        near = block.ratio + _noise(screen, block, sizes) > NEAR
+        near = block.ratio + _noise(screen, block) > NEAR
         fine = _zoomed(screen, block.only(near), np.longdouble, 0.1, _FINE_ZOOMS)
         block.ratio[near], block.share[near] = fine.ratio, fine.share
         blocks.append(block)
     whole = _Places.joined(blocks)
     whole = whole.only(np.lexsort((whole.ratio, whole.pair)))
     last = np.flatnonzero(np.append(whole.pair[1:] != whole.pair[:-1], True)[: len(whole.pair)])
-    count = len(screen.rows)
+    count = len(screen.half)
     found = Found(np.full(count, _UNSEEN), np.zeros((count, 3, 2)), np.full((count, 3), 1 / 3))
     for all_pairs, best in zip(found, whole.only(last)[1:], strict=True):
         all_pairs[whole.pair[last]] = best
@@ -386,14 +452,13 @@ def _zoomed(screen: Screen, places: _Places, dtype: Any, size: float, zooms: int
     """The largest samples of ever smaller triangles around each place."""
     if not len(places.pair):
         return places
-    rows, half = screen.rows[places.pair].astype(dtype), screen.half[places.pair].astype(dtype).T[..., None]
+    surface, half = screen.surface.only(places.pair).astype(dtype), screen.half[places.pair].astype(dtype).T[..., None]
     triangle, share = places.triangle.astype(dtype), places.share.astype(dtype)
-    twists = screen.twists[places.pair].astype(dtype)
-    ends = _evaluated(rows, twists, triangle[..., 0], triangle[..., 1])
+    ends = surface.at(triangle[..., 0], triangle[..., 1])
 
     def sampled(trial: np.ndarray) -> np.ndarray:
         where = np.matmul(trial, triangle)
-        points, drawn = _evaluated(rows, twists, where[..., 0], where[..., 1]), np.matmul(trial, ends)
+        points, drawn = surface.at(where[..., 0], where[..., 1]), np.matmul(trial, ends)
         return _ratio(np.moveaxis(points, 2, 0), np.moveaxis(drawn, 2, 0), half, screen.compared)
 
     ratio = sampled(share[:, None])[:, 0]
@@ -409,13 +474,14 @@ def _zoomed(screen: Screen, places: _Places, dtype: Any, size: float, zooms: int
     return _Places(places.pair, ratio.astype(np.float64), places.triangle, share.astype(np.float64))
 
 
-def _noise(screen: Screen, places: _Places, sizes: np.ndarray) -> np.ndarray:
+def _noise(screen: Screen, places: _Places) -> np.ndarray:
     """What rounding in double precision may make of the ratio at these places."""
     half = screen.half[places.pair, : screen.compared].astype(np.float64)
-    terms = np.max(sizes[places.pair, : screen.compared] + half * sizes[places.pair, 3:], axis=1)
-    rows = screen.rows[places.pair].astype(np.float64)
-    ends = _evaluated(rows, screen.twists[places.pair].astype(np.float64), *np.moveaxis(places.triangle, 2, 0))
-    w = np.maximum(np.sum(places.share * ends[..., 3], axis=1), 1e-300)
+    surface = screen.surface.only(places.pair).astype(np.float64)
+    corners = np.moveaxis(places.triangle, 2, 0)
+    sizes = surface.sizes(*corners)
+    terms = np.max(sizes[:, : screen.compared] + half * sizes[:, 3:], axis=1)
+    w = np.maximum(np.sum(places.share * surface.at(*corners)[..., 3], axis=1), 1e-300)
     return _TERMS * float(np.finfo(np.float64).eps) * terms / w
 
 
@@ -427,36 +493,29 @@ def _with_all_digits(
     share: np.ndarray,
     inwards: float,
 ) -> float:
-    matrix, half = _camera(look, _exact, _MP.tan)
-    pixels, depth = tolerances
-    scale = _exact([pixels, pixels, 1.0 if depth is None else depth])
-    net, twists = (x[0] for x in parts_of(patch))
-    points = _exact(net)
-    weight = points[..., 3:] if net.shape[2] == 4 else _exact(np.ones((*net.shape[:2], 1)))
-    rows = np.concatenate([points[..., :3] - weight * _exact(look.eye), weight], axis=2) @ matrix.T
-    rows[..., :3] = rows[..., :3] / scale
-    turned = _exact(twists) @ matrix[:, :3].T
-    turned[..., :3] = turned[..., :3] / scale
+    surface, half = _seen(patch, look, tolerances, _exact, _MP.tan)
     parts = _exact(np.maximum((1 - inwards) * share + inwards / 3, 0.0))
     parts = parts / sum(parts)
-    corners = [_point(rows, turned, *_exact(corner)) for corner in triangle]
+    corners = [_point(surface, *_exact(corner)) for corner in triangle]
     drawn = parts @ np.stack(corners)
-    exact = _point(rows, turned, *(parts @ _exact(triangle)))
-    half = half / scale
+    exact = _point(surface, *(parts @ _exact(triangle)))
     if not drawn[3] > 0 or any(abs(drawn[k]) > half[k] * drawn[3] for k in range(3)):
         return _UNSEEN
     if not exact[3] > 0:
         return float("inf")
-    compared = 2 if depth is None else 3
+    compared = 2 if tolerances[1] is None else 3
     return float(max(abs(exact[k] / exact[3] - drawn[k] / drawn[3]) for k in range(compared)))
 
 
-def _point(rows: np.ndarray, twists: np.ndarray, u: Any, v: Any) -> np.ndarray:
+def _point(surface: Surface, u: Any, v: Any) -> np.ndarray:
+    net, twists, lens = (x[0] for x in surface)
     by_u, by_v = (
         np.array([comb(d, j) * t**j * (1 - t) ** (d - j) for j in range(d + 1)], object)
-        for d, t in ((rows.shape[0] - 1, u), (rows.shape[1] - 1, v))
+        for d, t in ((net.shape[0] - 1, u), (net.shape[1] - 1, v))
     )
-    found = np.tensordot(by_v, np.tensordot(by_u, rows, (0, 0)), (0, 0))
+    found = np.tensordot(by_v, np.tensordot(by_u, net, (0, 0)), (0, 0))
+    if len(lens):
+        return lens @ _solved(found)
     if not len(twists):
         return found
     terms = [x.item() if isinstance(x, np.ndarray) else x for x in _turning(len(twists), u, v)]

@@ -6,13 +6,13 @@ A net lies over the square [-1/2, 1/2]^2 of the x and y axes. The *relief* is th
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import permutations
 from math import comb
 from typing import Any
 
 import numpy as np
 
 from slefejax import GregoryPatches
+from slefejax.experiments.attack.products import ProductNets, product_nets
 from slefejax.geometry.gregory import QUAD_TWISTS, TRIANGLE_TWISTS
 
 DEGREES = ((1, 1), (2, 2), (3, 3), (2, 3), (3, 1), (4, 4), (5, 2), (6, 6), (2, 8), (9, 9), (12, 1), (12, 12))
@@ -124,7 +124,6 @@ SHAPES: dict[str, Shape] = {
 RATIONAL = "rational"
 GREGORY = {"gregory": 3, "gregory-triangle": 4}  # degrees of their nets
 GAUSSIAN = "gaussian"
-_STRETCH_DECADES = 4.0  # of covariances
 FAMILIES = (*SHAPES, RATIONAL, *GREGORY, GAUSSIAN)
 
 
@@ -135,7 +134,7 @@ def nets(
 
     Half of them are turned any way. Rational ones and Gregory patches take their shapes from the other families;
     weights spread over up to half a decade, or of all of them over up to so many; twists are of any size. Gaussian
-    products have bicubic nets of means from there, and are of bi-degree 9.
+    products have bicubic nets of means from there.
     """
     names = [family] * len(relief) if family in SHAPES else rng.choice(list(SHAPES), len(relief))
     if family in GREGORY or family == GAUSSIAN:
@@ -144,52 +143,12 @@ def nets(
     if family in GREGORY:
         return GregoryPatches(made, _twists(family, rng, relief))
     if family == GAUSSIAN:
-        return _gaussian_products(rng, made)
+        return product_nets(rng, made)
     if family != RATIONAL:
         return made
     decades = rng.uniform(0.0, 0.5 if rng.uniform() < _TAME else weight_decades, len(made))
     weights = 10.0 ** (rng.uniform(-0.5, 0.5, made.shape[:3]) * decades[:, None, None])
     return np.concatenate([made * weights[..., None], weights[..., None]], axis=3)
-
-
-def _gaussian_products(rng: Rng, means: np.ndarray) -> np.ndarray:
-    """det Q times (x, y, z, 1) of Q^-1 h for bicubic nets of means ``(n, 4, 4, 3)``, in long double, by Cramer's rule.
-
-    Gaussians are flat, long or round, those of a net turned nearly alike or not.
-    """
-    count = len(means)
-    sizes = 10.0 ** (
-        rng.uniform(-_STRETCH_DECADES, _STRETCH_DECADES, (count, 1)) * np.eye(3)[rng.integers(0, 3, count)]
-    )
-    apart = 10.0 ** rng.uniform(-4.0, 1.0, (count, 1, 1, 1, 1))
-    turns = np.linalg.qr(np.eye(3) + apart * rng.normal(size=(count, 4, 4, 3, 3)))[0]
-    inverse = (turns * sizes[:, None, None, None]) @ np.swapaxes(turns, -1, -2)
-    inverse *= rng.uniform(0.5, 2.0, (count, 4, 4, 1, 1))
-    columns = [np.moveaxis(inverse[..., k], 0, -1).astype(np.longdouble) for k in range(3)]
-    pulled = np.moveaxis((inverse @ means[..., None])[..., 0], 0, -1).astype(np.longdouble)
-    sets = [[pulled if k == own else columns[k] for k in range(3)] for own in (0, 1, 2, None)]
-    net = np.stack([_determinant(three) for three in sets], axis=2)
-    return np.moveaxis(net / net[:, :, 3].max(axis=(0, 1)), -1, 0).astype(np.float64)
-
-
-def _determinant(columns: list[np.ndarray]) -> np.ndarray:
-    """Of matrices of bicubic polynomials, columns ``(4, 4, 3, n)``: of bi-degree 9, ``(10, 10, n)``."""
-    found = np.zeros((10, 10, columns[0].shape[3]), np.longdouble)
-    for order in permutations(range(3)):
-        sign = (-1.0) ** sum(order[i] > order[j] for i, j in ((0, 1), (0, 2), (1, 2)))
-        entries = [column[:, :, row] for column, row in zip(columns, order, strict=True)]
-        found += sign * _times(_times(entries[0], entries[1]), entries[2])
-    return found
-
-
-def _times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Bernstein coefficients ``(nu, nv, n)`` of products of polynomials."""
-    d, e = len(a) - 1, len(b) - 1
-    found = np.zeros((d + e + 1, d + e + 1, a.shape[2]), np.longdouble)
-    for i, k, j, m in np.ndindex(d + 1, d + 1, e + 1, e + 1):
-        share = [comb(d, p) * comb(e, q) / comb(d + e, p + q) for p, q in ((i, j), (k, m))]
-        found[i + j, k + m] += a[i, k] * b[j, m] * share[0] * share[1]
-    return found
 
 
 def _twists(family: str, rng: Rng, relief: np.ndarray) -> np.ndarray:
@@ -213,5 +172,7 @@ def moved(patches: Any, scale: float, offset: np.ndarray) -> Any:
     """Patches with another size, and then elsewhere."""
     if isinstance(patches, GregoryPatches):
         return GregoryPatches(moved(patches.net, scale, offset), patches.twists * scale)
+    if isinstance(patches, ProductNets):
+        return patches.moved(scale, offset)
     weight = patches[..., 3:] if patches.shape[-1] == 4 else 1.0
     return np.concatenate([patches[..., :3] * scale + offset * weight, patches[..., 3:]], axis=-1)

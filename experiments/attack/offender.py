@@ -24,6 +24,8 @@ eye, target, up, extent, near, far, perspective, width, height = {look}
 tolerance, depth_tolerance = {tolerances}
 patches = np.array({patches}).reshape({shape})
 twists = np.array({twists})  # of Gregory patches
+# of Gaussian products: of the patch that is judged 4 x 4 points (Q 11, 12, 13, 22, 23, 33, h), scale and offset
+products = {products}
 which = {which}  # the patch that is judged
 triangle, share = np.array({triangle}), np.array({share})  # where the error was largest, in the domain
 {claimed}
@@ -42,9 +44,12 @@ def predicted():
     return sj.tessellation_factors(given, view, tolerance=tolerance, depth_tolerance=depth_tolerance{options})
 
 
+def long(x):
+    return np.asarray(x).astype(np.longdouble)
+
+
 def screen():
-    """X, Y, Z over their tolerances from the picture's centre, and W; half the picture over the tolerances."""
-    long = lambda x: np.asarray(x).astype(np.longdouble)
+    """What X, Y, Z over their tolerances from the picture's centre, and W are at (u, v); half the picture over them."""
     forward = long(target) - long(eye)
     forward /= np.sqrt(forward @ forward)
     right = np.cross(forward, long(up))
@@ -62,10 +67,13 @@ def screen():
             rows = height / e * x, height / e * y, z / (n - f) + (f + n) / (n - f) / 2 * w, w
         return [row.T / s for row, s in zip(rows, [*scale, 1])]
 
+    half = long([width / 2, height / 2, 0.5]) / scale
+    if products:
+        return lambda u, v: rows_of(*solved(u, v)), half
     control, turned = long(patches[which]), long(twists[which] if twists.size else np.zeros((0, 3)))
     w = control[..., 3:] if control.shape[-1] == 4 else np.ones_like(control[..., :1])
     rows = list(zip(rows_of(control[..., :3], w), rows_of(turned, np.zeros_like(turned[..., :1]))))
-    return rows, long([width / 2, height / 2, 0.5]) / scale
+    return lambda u, v: at(rows, u, v), half
 
 
 def turning(u, v, slots):
@@ -85,14 +93,24 @@ def at(rows, u, v):
     return [x + sum(d * b for d, b in zip(t, turning(u, v, len(t)))) for x, (_, t) in zip(found, rows)]
 
 
+def solved(u, v):
+    """det Q times scale Q^-1 h + offset, and det Q, from q alone."""
+    net, scale, offset = long(products[0]), long(products[1]), long(products[2])
+    a, b, c, d, e, f, *h = at([(part, ()) for part in np.moveaxis(net.reshape(4, 4, 9), 2, 0)], u, v)
+    one, two, three = (np.stack(row, axis=-1) for row in ((a, b, c), (b, d, e), (c, e, f)))
+    adjugate = np.cross(two, three), np.cross(three, one), np.cross(one, two)
+    w = np.sum(one * adjugate[0], axis=-1)[..., None]
+    return scale * sum(x[..., None] * row for x, row in zip(h, adjugate)) + offset * w, w
+
+
 def ratio(corners, shares):
     """The largest of triangles (t, 3, 2) at places (s, 3) in them."""
-    rows, half = screen()
+    rows_at, half = screen()
     corners, shares = np.asarray(corners, np.longdouble), np.asarray(shares, np.longdouble)
     u, v = np.einsum("sk,tkc->cts", shares, corners)
-    ends = [r.reshape(-1, 3) for r in at(rows, *corners.reshape(-1, 2).T)]
+    ends = [r.reshape(-1, 3) for r in rows_at(*corners.reshape(-1, 2).T)]
     drawn = [(r @ shares.T).ravel() for r in ends]
-    exact = at(rows, u.ravel(), v.ravel())
+    exact = rows_at(u.ravel(), v.ravel())
     seen = (drawn[3] > 0) & np.all([np.abs(r) <= h * drawn[3] for r, h in zip(drawn, half)], axis=0)
     kept = [[r[seen] for r in side] for side in (exact, drawn)]
     if not seen.any():
@@ -156,6 +174,10 @@ def script(found: Row) -> str:
     else:
         more = found["cut"] - int(np.ceil(found["factor"] or 0.0)) if found["factor"] else 0
         claimed = _CLAIMED_UNIFORM.format(factor=factor, more=more)
+    products = found.get("products")
+    if products is not None:
+        net, scale, offset = (products[name][which] for name in ("gaussians", "scale", "offset"))
+        products = np.ravel(net).tolist(), scale, offset
     text = "".join(f", {name}={value!r}" for name, value in options.items())
     return _SCRIPT.format(
         title=f"{found['family']}, {found['setting']}, seed {found['seed']}: {found['ratio']:.9g} times the tolerance.",
@@ -165,6 +187,7 @@ def script(found: Row) -> str:
         patches=pformat(patches.ravel().tolist(), compact=True, width=118),
         shape=patches.shape,
         twists=found.get("twists", []),
+        products=pformat(products, compact=True, width=118),
         which=which,
         triangle=found["triangle"],
         share=found["share"],

@@ -13,6 +13,7 @@ import numpy as np
 
 from slefejax import Camera, Factors, InputError, View, tessellation_factors
 from slefejax.experiments.attack.judge import Look
+from slefejax.experiments.attack.products import asked
 from slefejax.experiments.attack.views import view_of
 from slefejax.predict.methods import Certified
 
@@ -102,7 +103,7 @@ def predicted(
     edge_numbers: np.ndarray | None = None,
 ) -> Factors | None:
     """What is claimed, or None where it is refused in words. Levels are asked for where edges are given."""
-    method = Certified(**setting.options)
+    method, patches = Certified(**setting.options), asked(patches)
     try:
         with setting.precision():
             if setting.traced:
