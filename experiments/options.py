@@ -21,6 +21,7 @@ from slefejax.geometry.gregory import GregoryPatches
 from slefejax.geometry.view import Camera, View, bounding_sphere
 from slefejax.io.content import read_bytes
 from slefejax.loading import load
+from slefejax.measure.rounding import rounding_error
 from slefejax.model.rig import Deformation
 from slefejax.model.skinning import dual_quaternion_blend, linear_blend
 from slefejax.predict.kernel import Method
@@ -31,6 +32,8 @@ Three = tuple[float, float, float]
 Scenes = Annotated[
     tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENE ...", help_behavior_hint="(at least one)")
 ]
+
+_MUCH = 0.1  # of the tolerance: what single precision adds is worth a note
 
 
 @dataclass(frozen=True)
@@ -302,6 +305,21 @@ def notes_of(scenes: Sequence[Scene], more: Sequence[str] = ()) -> tuple[str, ..
     if len(scenes) == 1:
         return notes[0]
     return tuple(f"{scene.name}: {note}" for scene, own in zip(scenes, notes, strict=True) for note in own)
+
+
+def rounding_notes(scene: Scene, view: View, tolerance: float) -> tuple[str, ...]:
+    """What single precision adds to the tolerance, if that is more than a tenth of it."""
+    bound = rounding_error(scene.patches(), view)
+    much, broken = (np.flatnonzero(bound > part * tolerance) for part in (_MUCH, 1.0))
+    if not much.size:
+        return ()
+    largest = float(bound.max())
+    said = f"up to {largest:.2g} px" if np.isfinite(largest) else "more than can be told"
+    note = f"single precision adds {said} in {much.size} patches"
+    if broken.size:
+        note += f"; what is claimed does not hold in {broken.size} of them, the first is patch {broken[0]}"
+        note += " (counted from 0)"
+    return (note,)
 
 
 def parse_size(text: str) -> tuple[int, int]:

@@ -30,6 +30,7 @@ from slefejax.measure.error import drawn_error, normal_error, pixel_error
 from slefejax.measure.jumps import edge_turns
 from slefejax.measure.limit import LimitDistance, limit_distance
 from slefejax.measure.minimal import minimal_factors, minimal_pairs
+from slefejax.measure.rounding import rounding_error
 from slefejax.measure.supremum import sampled_error, worst_points
 from slefejax.measure.triangles import triangle_error
 from slefejax.model.gaussians import Gaussians, covariance_parameters, covariances
@@ -116,6 +117,7 @@ __all__ = [
     "pack",
     "pixel_error",
     "real_triangles",
+    "rounding_error",
     "sampled_error",
     "save",
     "screen_twists",

@@ -80,7 +80,7 @@ def load(
     gaussians    : of control meshes, for ``scheme="gaussian"``, which is ``"auto"`` then: ``"infer"``, a radius in the
                    file's units, or covariances ``(vertices, 3, 3)`` (``slefejax.model.gaussians``), instead of those
                    that the file has
-    allow_thin   : of these: take patches whose weights differ by more than 10^6, which single precision cannot hold
+    allow_thin   : of these: take patches whose weights differ by more than 10^6; see ``rounding_error``
 
     Spline surfaces become Bézier patches exactly. Patches of different degrees are raised to the highest ones, and
     polynomial ones beside rational ones get weights of 1, which leaves their shape as it is. What was changed or left

@@ -9,9 +9,17 @@ import numpy as np
 import tyro
 
 from slefejax import tessellation_factors
-from slefejax.experiments.options import LoadOptions, OutputOptions, PredictionOptions, ViewOptions, camera_record
+from slefejax.experiments.options import (
+    LoadOptions,
+    OutputOptions,
+    PredictionOptions,
+    ViewOptions,
+    camera_record,
+    rounding_notes,
+)
 from slefejax.experiments.report import Report
 from slefejax.experiments.store import Run
+from slefejax.predict.methods import Certified
 from slefejax.tessellator.edges import EDGES
 from slefejax.tessellator.levels import HIGHEST_LEVEL, triangle_counts
 
@@ -45,11 +53,16 @@ class FactorsOfScene:
             f"{scene.name}: {len(rows)} patches, sum of factors {total['sum_of_factors']:.3f},"
             f" {total['triangles']:,} triangles"
         )
-        notes = (*scene.notes, *_beyond(factors.levels))
+        rounding = rounding_notes(scene, view, self.prediction.tolerance) if self._proved() else ()
+        notes = (*scene.notes, *_beyond(factors.levels), *rounding)
         arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
         with Run("factors", arguments, self.output.out, {"process": os.getpid()}) as run:
             out = run.finish(rows, {"scene": scene.name, "notes": notes, **total})
         return Report(scene.name, out, rows, title, notes, total, self.output.json)
+
+    def _proved(self) -> bool:
+        """Whether anything is claimed that rounding could break."""
+        return isinstance(self.prediction.value(), Certified)
 
 
 def _beyond(levels: np.ndarray) -> tuple[str, ...]:

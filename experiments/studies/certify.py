@@ -20,6 +20,7 @@ from slefejax.experiments.options import (
     camera_record,
     check_count,
     notes_of,
+    rounding_notes,
 )
 from slefejax.experiments.report import Report
 from slefejax.experiments.store import Row, Run, digest
@@ -82,7 +83,9 @@ class Certify:
             ]
             write_certify_figure(run.file("certify.png"), rows, summary, images, self.tolerance)
             names = " ".join(scene.name for scene in scenes)
-            notes = notes_of(scenes, looks.left_out)
+            rounding = [rounding_notes(*own, self.tolerance) for own in zip(scenes, views, strict=True)]
+            beside = zip(looks.left_out, rounding, strict=True)
+            notes = notes_of(scenes, ["; ".join(note for note in (left, *own) if note) for left, own in beside])
             record = {"scene": names, "notes": notes, "summary": summary, "opengl": {"renderer": device.renderer}}
             out = run.finish(rows, record)
         broken = sum(row["sup_error_px"] > self.tolerance or row["drawn_sup_error_px"] > self.tolerance for row in rows)

@@ -226,7 +226,7 @@ _EIGHT = np.arange(8)
 def check_spread(
     patches: Float[np.ndarray, "patches 10 10 4"], mesh: Mesh, faces: Int[np.ndarray, "patches"], allowed: bool
 ) -> tuple[str, ...]:
-    """A note on patches whose weights differ by more than 10^6: control points lie far away, and single precision ends.
+    """A note on patches whose weights differ by more than 10^6: control points may lie far away (``rounding_error``).
 
     mesh, faces : the control mesh, and which of its faces each patch is of
 
@@ -249,4 +249,4 @@ def check_spread(
     )
     if not allowed:
         raise InputError(f"{said}; make it rounder, or allow thin ones", options=("allow_thin",))
-    return (f"{said}; single precision is off there",)
+    return (f"{said}; rounding_error says what single precision adds there",)
