@@ -229,7 +229,8 @@ def test_an_offender_reproduces_by_itself(too_small, tmp_path):
     assert 0.5 < float(now.stdout.split()[-1]) <= 1.0
 
 
-@pytest.mark.parametrize("family", ["gregory", pytest.param("gregory-triangle", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("family", ["gregory", "gregory-triangle"])
 def test_twist_errors_that_are_a_quarter_are_found_and_reproduce(family, small_twist_errors, tmp_path):
     found = attack(family, "tiles-1", 1)
     check_found(found, most=1056)

@@ -43,7 +43,7 @@ def test_nothing_more_to_lower(teapot, main_view):
         assert len(np.unique(edges[numbers == number])) == 1
 
 
-@pytest.mark.parametrize("name", ["teapot", "walker"])
+@pytest.mark.parametrize("name", ["teapot", pytest.param("walker", marks=pytest.mark.slow)])
 def test_how_few(name):
     """Of what grids of the minimal factors have with edges like the larger neighbour, which is 1.007 and 1.054."""
     shown = load(name)

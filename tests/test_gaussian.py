@@ -333,6 +333,7 @@ def test_factors_hold_and_are_nearly_minimal(condition, tiles):
 
 
 @pytest.mark.gl
+@pytest.mark.slow
 def test_drawn_pictures_hold(device):
     scene = scene_of(torus(5.0, nu=3, nv=4))
     view = View(scene.default_camera(), 160, 100)

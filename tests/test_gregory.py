@@ -266,6 +266,7 @@ def test_numbers_of_valence_two_and_several_corners(rng):
     assert np.isfinite(found.patchwork.on_host(pillow.vertices).net).all()
 
 
+@pytest.mark.slow
 def test_a_session():
     """Poses go through the same tables."""
     walker = load("walker", scheme="gregory")

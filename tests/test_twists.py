@@ -243,8 +243,9 @@ def among_triangles(quads, others):
     return GregoryPatches(*(x[order] for x in both))
 
 
-@pytest.mark.parametrize("precision", [np.float64, pytest.param(np.float32, marks=pytest.mark.slow)], indirect=True)
-@pytest.mark.parametrize("tiles", [pytest.param(1, marks=pytest.mark.slow), 2])
+@pytest.mark.slow
+@pytest.mark.parametrize("precision", [np.float64, np.float32], indirect=True)
+@pytest.mark.parametrize("tiles", [1, 2])
 def test_quads_among_triangles(tiles, precision, rng):
     """Their factors are those of their bi-degree 3, the others' those that they have alone."""
     quads, others = (random_patches(rng, 40, degree).astype(precision) for degree in (3, 4))

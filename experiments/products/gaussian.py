@@ -103,7 +103,7 @@ class GaussianOfScene:
     """Condition numbers of covariances that are tried besides the scene's own, in several orientations."""
     level: int = 5
     """The published level that they are drawn with."""
-    feature: bool = True
+    feature: bool = False
     """Make one feature, the rounded edges of a cube, by covariances, by creases and by edge loops, too."""
     depth: int = DEEPEST
     """Nested levels around irregular vertices of the published method, 1 to 10."""
