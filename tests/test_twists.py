@@ -284,16 +284,8 @@ def test_nets_that_are_nearly_of_bi_degree_3(rng):
     assert lowered(Twisted(*lanes), jnp.zeros(3))[2].all()
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {},
-        *(
-            pytest.param(own, marks=pytest.mark.slow)
-            for own in ({"levels": "fewest", "anisotropic": True}, {"tolerance": 0.02})
-        ),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [{}, {"levels": "fewest", "anisotropic": True}, {"tolerance": 0.02}])
 def test_levels_hold_as_drawn(options, rng):
     """Quads and pinched triangles among one another, patches in pieces too (the last)."""
     scene = load("walker", scheme="gregory")
