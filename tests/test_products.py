@@ -10,11 +10,8 @@ import pytest
 
 from slefejax import (
     InputError,
-    Pose,
     Scene,
-    Session,
     View,
-    convert,
     evaluate_patches,
     load,
 )
@@ -24,12 +21,13 @@ from slefejax.experiments.products.feature import RADII, box, by_covariances, by
 from slefejax.experiments.products.nested import NestedLook
 from slefejax.experiments.products.recursive import Recursive
 from slefejax.experiments.products.spreads import ORIENTATIONS, median_condition, spread
+from slefejax.figures.products.gaussian import write_levels
 from slefejax.gpu import Renderer
 from slefejax.model.gaussians import with_gaussians
 from slefejax.model.mesh import Mesh
 from tests.meshes import disc
 from tests.test_cli import run_json
-from tests.test_gaussian import ply, scene_of, torus
+from tests.test_gaussian import ply, torus
 
 
 def cubic(t):
@@ -219,23 +217,11 @@ def test_the_study_refuses(options, said, capsys):
     assert said in capsys.readouterr().err
 
 
-def test_the_study_says_what_a_method_refuses():
-    """Tried on a vertex of valence 11, as the command does."""
-    mesh = with_gaussians(disc(11), "infer")
-    conversion = convert(mesh, "gaussian")
-    assert len(conversion.patchwork.on_host(conversion.control)) == mesh.face_count
-    with pytest.raises(InputError, match="stops at valence 10"):
-        published(mesh, steps=0)
-
-
-@pytest.mark.gl
-def test_a_covariance_that_changes_is_sent_alone(device):
-    scene: Any = scene_of(torus(20.0, nu=6, nv=8))
-    session, changed = Session(scene, method="fixed", setting=4.0), scene.conversion.mesh.covariances.copy()
-    view = View(scene.default_camera(), 160, 100)
-    renderer = Renderer(session.patches, device)
-    changed[0] *= 2.0
-    session.factors(view, Pose(covariances=changed))
-    renderer.move(session.patches)
-    assert renderer.moved == 16, "all patches that a vertex is seen in"
-    renderer.release()
+def test_figures_of_methods_that_refuse(tmp_path):
+    """A vertex of valence 64 leaves nothing of the published method, and sometimes nothing of others."""
+    names = "triangles", "max_error_px", "sup_error_px", "render_ms", "predict_ms", "prepare_ms"
+    refused = {"method": "published", "level": 5, **dict.fromkeys(names, np.nan)}
+    made = {"method": "recursive", "level": 5, **dict.fromkeys(names, 2.0), "max_error_px": np.nan}
+    for rows in ([refused], [refused, made], [refused, {**made, "method": "certified", "max_error_px": 0.4}]):
+        write_levels(tmp_path / "levels.png", rows, "fan")
+        assert (tmp_path / "levels.png").stat().st_size > 10_000

@@ -28,6 +28,8 @@ def write_levels(path: Path, rows: list[Row], scene: str) -> None:
         axes = figure.subplots(1, 3)
         for method, style in _STYLES.items():
             own = [row for row in rows if row["method"] == method and np.isfinite(row["triangles"])]
+            if not own:
+                continue  # refused
             own.sort(key=lambda row: row["triangles"])
             of = lambda name, own=own: np.array([row[name] for row in own], float)  # noqa: E731
             if method != "recursive":
@@ -47,10 +49,12 @@ def write_levels(path: Path, rows: list[Row], scene: str) -> None:
             ("milliseconds, on the host", "preparation, once a mesh"),
         )
         for own, (label, title) in zip(axes, labels, strict=True):
-            own.set(xscale="log", yscale="log", xlabel="triangles", ylabel=label)
-            own.set_title(title)
-        axes[0].legend(frameon=True)
-        axes[1].legend(frameon=True)
+            own.set(xlabel="triangles", ylabel=label, title=title)
+            if own.get_legend_handles_labels()[0]:
+                own.set(xscale="log", yscale="log")
+        for own in axes[:2]:
+            if own.get_legend_handles_labels()[0]:
+                own.legend(frameon=True)
         figure.suptitle(f"{scene}: Gaussian products at fixed levels, as published, and at certified ones")
         save(figure, path)
 
