@@ -37,15 +37,21 @@ from tests.working import ready, square
 FEW = ("--setting", "tiles-1", "--family", "saddle")
 
 
-@pytest.fixture
-def too_small(monkeypatch):
-    """Factors times .98."""
+def times(share):
+    """A fixture: factors times a share."""
 
-    def asked(*arguments, **options):
-        found = tessellation_factors(*arguments, **options)
-        return replace(found, factor=found.factor * 0.98)
+    @pytest.fixture
+    def planted(monkeypatch):
+        def asked(*arguments, **options):
+            found = tessellation_factors(*arguments, **options)
+            return replace(found, factor=found.factor * share)
 
-    monkeypatch.setattr(attack_settings, "tessellation_factors", asked)
+        monkeypatch.setattr(attack_settings, "tessellation_factors", asked)
+
+    return planted
+
+
+too_small, halved = times(0.98), times(0.5)
 
 
 @pytest.fixture
@@ -241,17 +247,6 @@ def test_twist_errors_that_are_a_quarter_are_found_and_reproduce(family, small_t
     now = run_script(tmp_path, worst)
     assert now.returncode == 0, now.stderr
     assert 0.1 < float(now.stdout.split()[-1]) <= 1.0
-
-
-@pytest.fixture
-def halved(monkeypatch):
-    """Half of what factors are."""
-
-    def asked(*arguments, **options):
-        found = tessellation_factors(*arguments, **options)
-        return replace(found, factor=found.factor * 0.5)
-
-    monkeypatch.setattr(attack_settings, "tessellation_factors", asked)
 
 
 @pytest.fixture

@@ -209,6 +209,7 @@ def test_the_study_of_gaussian_products(capsys, tmp_path):
         (("teapot",), "no control mesh"),
         (("ring", "--levels", "7"), "--levels"),
         (("ring", "--conditions", "0.5"), "--conditions"),
+        (("ring", "--depth", "11"), "--depth"),
         (("ring", "--scheme", "acc"), "--scheme"),
     ],
 )

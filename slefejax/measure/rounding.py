@@ -34,7 +34,9 @@ _AT_A_TIME = 512  # patches
 def rounding_error(patches: Patches, view: View) -> Float[np.ndarray, "patches"]:
     """How far off, in pixels, single precision draws what is seen of each patch at most: a proof, not a measurement.
 
-    patches : Bézier, rational or Gregory; all those that are drawn together, since they are sent relative to their box
+    patches : Bézier, rational or Gregory; all those that are drawn together, since they are sent relative to their box.
+              A renderer whose patches have moved may have kept an earlier box, up to twice as large: this is of one
+              that was made of them
 
     From what exact vertices draw: max(|dx|, |dy|), for vertices at places that are multiples of 2^-24, and hence for
     the triangles between them. The rasteriser's own rounding comes on top. 0 where nothing is seen, infinite where W
