@@ -127,8 +127,7 @@ def write_surface(path: Path, picture: np.ndarray, gaussians: tuple[np.ndarray, 
     box = occupied(seen)
     rows, columns = box
     with mpl.rc_context({**SETTINGS, "axes.grid": False}):
-        shape = picture[box].shape
-        figure = new_figure(15, 1.2 + 7.3 * shape[0] / shape[1])
+        figure = new_figure(15, 7.5)
         left, right = figure.subplots(1, 2)
         for axes in (left, right):
             axes.imshow(np.where(seen, picture, 1.0), cmap="gray", vmin=0.0, vmax=1.0)
@@ -139,10 +138,12 @@ def write_surface(path: Path, picture: np.ndarray, gaussians: tuple[np.ndarray, 
         right.add_collection(
             PolyCollection(list(upside(outlines)), facecolors="#e69f0080", edgecolors="#d55e00", linewidths=0.6)
         )
-        wide = 0.08 * shape[1]
-        for axes in (left, right):
-            axes.set_xlim(columns.start - wide, columns.stop + wide)
-            axes.set_ylim(rows.stop + wide, rows.start - wide)
+        # a coarse control mesh reaches far beyond its surface
+        shown = np.concatenate([upside(x).reshape(-1, 2) for x in gaussians])
+        low = np.minimum(shown.min(axis=0, initial=np.inf), [columns.start, rows.start])
+        high = np.maximum(shown.max(axis=0, initial=-np.inf), [columns.stop, rows.stop])
+        left.set(xlim=(columns.start, columns.stop), ylim=(rows.stop, rows.start))
+        right.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]))
         left.set_title("the surface")
         right.set_title("its control mesh, and the Gaussians of its vertices (all scaled alike)")
         figure.suptitle(f"{scene}: Gaussian products")
