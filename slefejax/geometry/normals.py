@@ -1,0 +1,195 @@
+"""Normals as polynomials: what shaders pass on undivided, and what certificates bound (docs/certified.md, 11).
+
+Of polynomial patches N = P_u x P_v, of bi-degree (2 du - 1, 2 dv - 1). Of rational ones, p = w P in homogeneous
+coordinates, w p_u x p_v - w_v p_u x p - w_u p x p_v, which is w^3 P_u x P_v and of bi-degree (3 du - 2, 3 dv - 2). Of a
+pair of tangent nets T_u x T_v.
+
+Where a side is a point, N is 0 along it; divided by the distance from that side in the domain it is a polynomial again,
+which has a direction there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import comb
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool
+
+from slefejax.arguments import Patches, on_host
+from slefejax.geometry.bezier import Values, derivative
+from slefejax.geometry.gregory import GregoryPatches
+from slefejax.lanes.nets import total
+
+_POINT = 64.0  # eps of coordinates: a side that is smaller is a point
+
+
+def collapsed_sides(patches: Patches) -> Bool[np.ndarray, "patches 4"]:
+    """Which sides of patches are points: u=0, v=0, u=1, v=1, in OpenGL's order.
+
+    >>> fan = np.array([[[0, 0, 0], [0, 0, 0]], [[1, 0, 0], [0, 1, 0]]], float)
+    >>> collapsed_sides(fan[None]).tolist()
+    [[True, False, False, False]]
+    """
+    given = on_host(patches)
+    net = given.net if isinstance(given, GregoryPatches) else np.asarray(given)
+    exact = np.finfo(net.dtype).eps if net.dtype.kind == "f" else 0.0
+    points = net.astype(np.float64)
+    if points.shape[-1] == 4:
+        points = points[..., :3] / points[..., 3:]
+    sides = points[:, 0], points[:, :, 0], points[:, -1], points[:, :, -1]
+    return np.stack([np.all(_spread(side) <= _POINT * exact * _size(side), axis=-1) for side in sides], axis=1)
+
+
+def _spread(side: np.ndarray) -> np.ndarray:
+    """How far apart points ``(patches, points, 3)`` lie, coordinate by coordinate."""
+    return side.max(axis=1) - side.min(axis=1)
+
+
+def _size(side: np.ndarray) -> np.ndarray:
+    return np.abs(side).max(axis=(1, 2))[:, None]
+
+
+def normal_net(control: Values) -> Values:
+    """Coefficients ``(ku+1, kv+1, 3, ...)`` of the undivided normals of patches ``(du+1, dv+1, 3 or 4, ...)``.
+
+    >>> square = np.array([[[0, 0, 0], [0, 1, 0]], [[2, 0, 0], [2, 1, 0]]], float)[..., None]
+    >>> normal_net(square)[1, 1].ravel().tolist()
+    [0.0, 0.0, 2.0]
+    """
+    if control.shape[2] == 4:
+        return _bracket(control)
+    return crossed(derivative(control), derivative(control.swapaxes(0, 1)).swapaxes(0, 1))
+
+
+def crossed(one: Values, other: Values) -> Values:
+    """Of two vector nets ``(..., ..., 3, ...)``: the net of their cross product, such as of tangent patches.
+
+    >>> along_u, along_v = np.eye(3)[None, None, 0], np.stack([np.eye(3)[None, 1], 3.0 * np.eye(3)[None, 2]], axis=1)
+    >>> crossed(along_u, along_v)[0].tolist()
+    [[0.0, 0.0, 1.0], [0.0, -3.0, 0.0]]
+    """
+    return product(one, other, _cross)
+
+
+def _bracket(control: Values) -> Values:
+    """A patch is bilinear between four nets of one degree less: so is this between planes through three of them."""
+    a, b, c, d = control[:-1, :-1], control[1:, :-1], control[:-1, 1:], control[1:, 1:]
+    corners = [[_planes(a, b, c), _planes(a, d, c)], [_planes(a, b, d), _planes(c, b, d)]]
+    scale = float((control.shape[0] - 1) * (control.shape[1] - 1))
+    nu, nv = corners[0][0].shape[:2]
+    parts = []
+    for i, j in np.ndindex(2, 2):
+        weights = _share(nu, i)[:, None] * _share(nv, j)
+        parts.append(_into(corners[i][j] * _beside(weights, corners[i][j]), (nu + 1, nv + 1), (i, j)))
+    return scale * total(parts)
+
+
+def _share(count: int, late: int) -> np.ndarray:
+    """Of coefficients of a curve that is multiplied with 1 - t, or t: what goes to the coefficient at ``late`` more."""
+    k = np.arange(count)
+    return (k + 1.0) / count if late else (count - k) / count
+
+
+def _planes(a: Values, b: Values, c: Values) -> Values:
+    """Normals of the planes through three points in homogeneous coordinates, the nets' products."""
+
+    def line(p: Values, q: Values) -> Values:
+        """Both halves of a line's coordinates."""
+        moment = p[:, :, 3:] * q[:, :, :3] - q[:, :, 3:] * p[:, :, :3]
+        return _of(p, q).concatenate([_cross(p[:, :, :3], q[:, :, :3]), moment], axis=2)
+
+    def plane(own: Values, r: Values) -> Values:
+        return own[:, :, :3] * r[:, :, 3:] + _cross(own[:, :, 3:], r[:, :, :3])
+
+    return product(product(a, b, line), c, plane)
+
+
+def product(one: Values, other: Values, multiply: Callable[[Values, Values], Values]) -> Values:
+    """Coefficients of a product of nets, whose degrees add up.
+
+    multiply : bilinear, of one coefficient ``(1, 1, ...)`` of the first net and all of the second
+
+    >>> ramp = np.array([0.0, 1.0]).reshape(2, 1)
+    >>> product(ramp, ramp, lambda x, y: x * y).ravel().tolist()  # t^2
+    [0.0, 0.0, 1.0]
+    """
+    one, other = (net * _beside(_binomials(net.shape), net) for net in (one, other))
+    shape = tuple(n + m - 1 for n, m in zip(one.shape[:2], other.shape[:2], strict=True))
+    found = None
+    for i, j in np.ndindex(*one.shape[:2]):
+        part = multiply(one[i : i + 1, j : j + 1], other)
+        found = _into(part, shape, (i, j)) if found is None else _plus(found, part, (i, j))
+    return found / _beside(_binomials(shape), found)
+
+
+def _binomials(shape: tuple[int, ...]) -> np.ndarray:
+    u, v = (np.array([comb(n - 1, k) for k in range(n)], np.float64) for n in shape[:2])
+    return u[:, None] * v
+
+
+def _beside(numbers: np.ndarray, net: Values) -> np.ndarray:
+    """One number a coefficient, in the precision of a net."""
+    return numbers.reshape(*numbers.shape, *[1] * (net.ndim - 2)).astype(net.dtype)
+
+
+def _of(*nets: Values) -> Any:
+    return np if all(isinstance(net, np.ndarray) for net in nets) else jnp
+
+
+def _into(part: Values, shape: tuple[int, ...], at: tuple[int, int]) -> Values:
+    """A net among zeros."""
+    around = [(k, n - k - own) for k, n, own in zip(at, shape, part.shape[:2], strict=True)]
+    return _of(part).pad(part, [*around, *[(0, 0)] * (part.ndim - 2)])
+
+
+def _plus(whole: Values, part: Values, at: tuple[int, int]) -> Values:
+    """A net with another one added to a block of it."""
+    block = tuple(slice(k, k + n) for k, n in zip(at, part.shape[:2], strict=True))
+    if _of(whole) is np:
+        whole[block] += part
+        return whole
+    return jax.lax.dynamic_update_slice(whole, whole[block] + part, (*at, *[0] * (part.ndim - 2)))
+
+
+def _cross(p: Values, q: Values) -> Values:
+    """Of nets whose third axis has the coordinates."""
+    (a, b, c), (x, y, z) = ([net[:, :, k] for k in range(3)] for net in (p, q))
+    return _of(p, q).stack([b * z - c * y, c * x - a * z, a * y - b * x], axis=2)
+
+
+def without_collapsed(net: Values, collapsed: Any) -> Values:
+    """Normals over the distance from sides that are points: nets of the same degrees.
+
+    net       : ``(ku+1, kv+1, 3, ...)``
+    collapsed : four masks ``(...)``, of u=0, v=0, u=1, v=1
+
+    >>> ramp = np.array([0.0, 1.0]).reshape(2, 1, 1, 1) * np.ones((2, 1, 3, 1))
+    >>> without_collapsed(ramp, np.array([[True], [False], [False], [False]])).ravel().tolist()  # t over t
+    [1.0, 1.0, 1.0, 1.0, 1.0, 1.0]
+    """
+    xp = _of(net)
+    for side, which in enumerate(collapsed):
+        axis = side % 2
+        matrix = xp.asarray(_over_distance(net.shape[axis], side // 2), net.dtype)
+        divided = xp.moveaxis(xp.tensordot(matrix, net, (1, axis), **({} if xp is np else _EXACT)), 0, axis)
+        net = xp.where(which, divided, net)
+    return net
+
+
+_EXACT: dict[str, Any] = {"precision": jax.lax.Precision.HIGHEST}
+
+
+def _over_distance(count: int, late: int) -> np.ndarray:
+    """The matrix that divides polynomials that are 0 at t = 0 by t, or those 0 at 1 by 1 - t; of one degree."""
+    degree = count - 1
+    lower, raise_ = np.zeros((degree, count)), np.zeros((count, degree))
+    for k in range(degree):
+        lower[k, k + 1] = degree / (k + 1.0)
+        raise_[k, k] += 1.0 - k / degree
+        raise_[k + 1, k] += (k + 1.0) / degree
+    matrix = raise_ @ lower
+    return matrix[::-1, ::-1] if late else matrix
