@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from slefejax import GregoryPatches, InputError, tessellation_factors
-from slefejax.bounds import parts, twists
+from slefejax.bounds import quadratics, twists
 from slefejax.experiments.attack import attack as command
 from slefejax.experiments.attack import batch as attack_batch
 from slefejax.experiments.attack import claims as attack_claims
@@ -109,8 +109,8 @@ def lone_twists(monkeypatch):
 @pytest.fixture
 def nothing_missed(monkeypatch):
     """Cells and ring triangles without what quadratics miss of twist terms (docs/certified.md, 11)."""
-    own = parts.on_box
-    monkeypatch.setattr(parts, "on_box", lambda *box: [term._replace(rest=0.0 * term.rest) for term in own(*box)])
+    own = quadratics.on_box
+    monkeypatch.setattr(quadratics, "on_box", lambda *box: [term._replace(rest=0.0 * term.rest) for term in own(*box)])
     jax.clear_caches()
     yield
     jax.clear_caches()

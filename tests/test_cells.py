@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slefejax import Camera, View
-from slefejax.bounds import parts
+from slefejax.bounds import quadratics
 from slefejax.geometry.bezier import evaluate_patch
 from slefejax.geometry.projection import Projection
 from slefejax.geometry.view import homogeneous
@@ -119,8 +119,8 @@ def test_both_forms_of_nets_tell_the_same(rng, monkeypatch):
 
     def told():
         pictures = pictures_of(patches)
-        cells._cells_pass.clear_cache()
-        cells._triangles_pass.clear_cache()
+        cells.ERRORS["cell"].clear_cache()
+        cells.ERRORS["triangle"].clear_cache()
         every = np.arange(20)
         return cell_errors(pictures, every, low, low + 0.5), triangle_errors(pictures, every, corners)
 
@@ -129,8 +129,8 @@ def test_both_forms_of_nets_tell_the_same(rng, monkeypatch):
     for one, other in zip(unrolled, told(), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-10)
     monkeypatch.undo()
-    cells._cells_pass.clear_cache()
-    cells._triangles_pass.clear_cache()
+    cells.ERRORS["cell"].clear_cache()
+    cells.ERRORS["triangle"].clear_cache()
 
 
 def test_one_program_for_all_scenes(rng):
@@ -138,8 +138,8 @@ def test_one_program_for_all_scenes(rng):
     before = None
     for count in (3, 1500, 2500):
         grid_errors(pictures_of(patches[:count]), np.arange(count), np.full((count, 2), 2), EVEN)
-        before = cells._cells_pass.compiled() if before is None else before
-    assert cells._cells_pass.compiled() == before
+        before = cells.ERRORS["cell"].compiled() if before is None else before
+    assert cells.ERRORS["cell"].compiled() == before
 
 
 def test_constants_of_quadratic_interpolation(rng):
@@ -157,8 +157,8 @@ def test_constants_of_quadratic_interpolation(rng):
             power = apart[..., 0] ** i * apart[..., 1] ** j / 6
             constant.append(np.abs((basis * power).sum(axis=0)).max())
             varying.append((np.abs(basis) * np.abs(power)).sum(axis=0).max())
-    assert 0.98 * parts.CONSTANT < max(constant) <= parts.CONSTANT
-    assert 0.9 * parts.VARYING < max(varying) <= parts.VARYING
+    assert 0.98 * quadratics.CONSTANT < max(constant) <= quadratics.CONSTANT
+    assert 0.9 * quadratics.VARYING < max(varying) <= quadratics.VARYING
 
 
 def test_triangles_of_rings_are_the_tessellators(rng):

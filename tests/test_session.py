@@ -256,9 +256,9 @@ def test_factors_of_a_pose_that_is_gone():
 def test_levels_of_patches_that_stand_still_are_kept(walker, view, method, monkeypatch):
     """The same levels as without a session, and fewer cells and triangles to look at; all of them in another view."""
     looked = []
-    through = Pictures.through
+    errors = Pictures.errors
     monkeypatch.setattr(
-        Pictures, "through", lambda own, c, patch, *rest: looked.append(len(patch)) or through(own, c, patch, *rest)
+        Pictures, "errors", lambda own, kind, patch, *rest: looked.append(len(patch)) or errors(own, kind, patch, *rest)
     )
 
     def work(found):

@@ -40,6 +40,20 @@ class HalfCells:
             together = larger(together, larger(size_a, size_c) - less)
         return maxima.largest([together + twist, size_a, size_c])
 
+    @property
+    def directions(self) -> list[tuple[Number, Number, Number]]:
+        """Of (a, b, c): the same for vectors is the longest of these sums."""
+        found: list[tuple[Number, Number, Number]] = [
+            (1.0, 0.0, 0.0),
+            (0.0, 0.0, 1.0),
+            (1.0, 2.0, 1.0),
+            (1.0, -2.0, 1.0),
+        ]
+        if not (isinstance(self.evenness, float) and self.evenness == 1.0):
+            less = self.evenness * self.evenness
+            found += [own for twist in (2.0, -2.0) for own in ((1.0, twist, less), (less, twist, 1.0))]
+        return found
+
     def third(self, along_u: Lanes, along_v: Lanes, maxima: Maxima = EXACT) -> tuple[Lanes, Lanes | None]:
         """What third derivatives add, over n^3, and what the second derivatives count as at least, over n W."""
         more = maxima.largest([along_u, along_v])
@@ -64,6 +78,12 @@ class AnyTriangle:
         zero, p, q = jnp.zeros_like(b), jnp.abs(a), jnp.abs(c)
         saddle = b + larger(p + larger(b - q, zero), q + larger(b - p, zero))
         return jax.lax.select((a > 0) == (c > 0), p + q + 2.0 * b, saddle)
+
+    @property
+    def directions(self) -> list[tuple[Number, Number, Number]]:
+        """Of (a, b, c): the same for vectors is at most the longest of these sums, Bézier coefficients."""
+        halves = [(1.0, 1.0, 0.0), (1.0, -1.0, 0.0), (0.0, 1.0, 1.0), (0.0, -1.0, 1.0)]
+        return [(1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 2.0, 1.0), (1.0, -2.0, 1.0), *halves]
 
     def third(self, along_u: Lanes, along_v: Lanes, maxima: Maxima = EXACT) -> tuple[Lanes, Lanes | None]:
         """As of ``HalfCells``."""

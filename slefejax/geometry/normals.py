@@ -17,9 +17,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool
+from jax.core import Tracer
+from jaxtyping import Array, Bool
 
-from slefejax.arguments import Patches, on_host
+from slefejax.arguments import Patches
 from slefejax.geometry.bezier import Values, derivative
 from slefejax.geometry.gregory import GregoryPatches
 from slefejax.lanes.nets import total
@@ -27,30 +28,22 @@ from slefejax.lanes.nets import total
 _POINT = 64.0  # eps of coordinates: a side that is smaller is a point
 
 
-def collapsed_sides(patches: Patches) -> Bool[np.ndarray, "patches 4"]:
+def collapsed_sides(patches: Patches) -> Bool[Array | np.ndarray, "patches 4"]:
     """Which sides of patches are points: u=0, v=0, u=1, v=1, in OpenGL's order.
 
     >>> fan = np.array([[[0, 0, 0], [0, 0, 0]], [[1, 0, 0], [0, 1, 0]]], float)
     >>> collapsed_sides(fan[None]).tolist()
     [[True, False, False, False]]
     """
-    given = on_host(patches)
-    net = given.net if isinstance(given, GregoryPatches) else np.asarray(given)
-    exact = np.finfo(net.dtype).eps if net.dtype.kind == "f" else 0.0
-    points = net.astype(np.float64)
-    if points.shape[-1] == 4:
-        points = points[..., :3] / points[..., 3:]
+    given = patches.net if isinstance(patches, GregoryPatches) else patches
+    given = given if isinstance(given, Tracer) else np.asarray(given)
+    xp = array_module(given)
+    exact = float(xp.finfo(given.dtype).eps) if jnp.issubdtype(given.dtype, jnp.floating) else 0.0
+    points = given[..., :3] / given[..., 3:] if given.shape[-1] == 4 else given
     sides = points[:, 0], points[:, :, 0], points[:, -1], points[:, :, -1]
-    return np.stack([np.all(_spread(side) <= _POINT * exact * _size(side), axis=-1) for side in sides], axis=1)
-
-
-def _spread(side: np.ndarray) -> np.ndarray:
-    """How far apart points ``(patches, points, 3)`` lie, coordinate by coordinate."""
-    return side.max(axis=1) - side.min(axis=1)
-
-
-def _size(side: np.ndarray) -> np.ndarray:
-    return np.abs(side).max(axis=(1, 2))[:, None]
+    spread = [side.max(axis=1) - side.min(axis=1) for side in sides]
+    size = [xp.abs(side).max(axis=(1, 2))[:, None] for side in sides]
+    return xp.stack([(a <= _POINT * exact * b).all(axis=-1) for a, b in zip(spread, size, strict=True)], axis=1)
 
 
 def normal_net(control: Values) -> Values:
@@ -100,7 +93,7 @@ def _planes(a: Values, b: Values, c: Values) -> Values:
     def line(p: Values, q: Values) -> Values:
         """Both halves of a line's coordinates."""
         moment = p[:, :, 3:] * q[:, :, :3] - q[:, :, 3:] * p[:, :, :3]
-        return _of(p, q).concatenate([_cross(p[:, :, :3], q[:, :, :3]), moment], axis=2)
+        return array_module(p, q).concatenate([_cross(p[:, :, :3], q[:, :, :3]), moment], axis=2)
 
     def plane(own: Values, r: Values) -> Values:
         return own[:, :, :3] * r[:, :, 3:] + _cross(own[:, :, 3:], r[:, :, :3])
@@ -136,20 +129,25 @@ def _beside(numbers: np.ndarray, net: Values) -> np.ndarray:
     return numbers.reshape(*numbers.shape, *[1] * (net.ndim - 2)).astype(net.dtype)
 
 
-def _of(*nets: Values) -> Any:
+def array_module(*nets: Values) -> Any:
+    """NumPy if all of these are its arrays, else JAX's.
+
+    >>> array_module(np.zeros(3), jnp.zeros(3)) is jnp
+    True
+    """
     return np if all(isinstance(net, np.ndarray) for net in nets) else jnp
 
 
 def _into(part: Values, shape: tuple[int, ...], at: tuple[int, int]) -> Values:
     """A net among zeros."""
     around = [(k, n - k - own) for k, n, own in zip(at, shape, part.shape[:2], strict=True)]
-    return _of(part).pad(part, [*around, *[(0, 0)] * (part.ndim - 2)])
+    return array_module(part).pad(part, [*around, *[(0, 0)] * (part.ndim - 2)])
 
 
 def _plus(whole: Values, part: Values, at: tuple[int, int]) -> Values:
     """A net with another one added to a block of it."""
     block = tuple(slice(k, k + n) for k, n in zip(at, part.shape[:2], strict=True))
-    if _of(whole) is np:
+    if array_module(whole) is np:
         whole[block] += part
         return whole
     return jax.lax.dynamic_update_slice(whole, whole[block] + part, (*at, *[0] * (part.ndim - 2)))
@@ -158,7 +156,7 @@ def _plus(whole: Values, part: Values, at: tuple[int, int]) -> Values:
 def _cross(p: Values, q: Values) -> Values:
     """Of nets whose third axis has the coordinates."""
     (a, b, c), (x, y, z) = ([net[:, :, k] for k in range(3)] for net in (p, q))
-    return _of(p, q).stack([b * z - c * y, c * x - a * z, a * y - b * x], axis=2)
+    return array_module(p, q).stack([b * z - c * y, c * x - a * z, a * y - b * x], axis=2)
 
 
 def without_collapsed(net: Values, collapsed: Any) -> Values:
@@ -171,7 +169,7 @@ def without_collapsed(net: Values, collapsed: Any) -> Values:
     >>> without_collapsed(ramp, np.array([[True], [False], [False], [False]])).ravel().tolist()  # t over t
     [1.0, 1.0, 1.0, 1.0, 1.0, 1.0]
     """
-    xp = _of(net)
+    xp = array_module(net)
     for side, which in enumerate(collapsed):
         axis = side % 2
         matrix = xp.asarray(_over_distance(net.shape[axis], side // 2), net.dtype)

@@ -21,6 +21,7 @@ class Tuning:
     cells                 : cells or triangles of a call; a program more would take longer than calls that are not full
     page                  : patches that one program finds the cells of
     gathered              : items of a chunk that some of all items are gathered into
+    turned                : patches of a chunk whose normals are bounded
     most_maps             : of the 65,530 mappings of memory that Linux allows
     unrolled_coefficients : of a control net, one array each
     unrolled_boxes        : of slefes, one array each
@@ -45,6 +46,7 @@ class Tuning:
     cells: int = 1024
     page: int = 1024
     gathered: int = 512
+    turned: int = 128
     most_maps: int = 40_000
     unrolled_coefficients: int = 16
     unrolled_boxes: int = 25

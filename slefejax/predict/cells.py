@@ -16,7 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from slefejax.bounds.parts import cell_error, piece_error, triangle_error, window_error
+from slefejax.bounds.parts import part_error
+from slefejax.bounds.quadratics import PARTS
+from slefejax.bounds.turned import part_turn
 from slefejax.geometry.gregory import Twisted
 from slefejax.geometry.projection import Projection, undivided
 from slefejax.geometry.view import homogeneous
@@ -63,12 +65,38 @@ class Pictured(NamedTuple):
         turned = np.einsum("rc,psc->srp", matrix[:, :3], np.asarray(twists, np.float64))
         return Pictured(control, turned, half, sizes, floor, 2 if tolerances[1] is None else 3)
 
-    def page(self, count: int) -> list[np.ndarray]:
+    def page(self, count: int) -> tuple[Any, ...]:
         """For so many patches, with zeros behind the last; control points patches first, so that one's lie together."""
-        missing = count - self.control.shape[-1]
-        more = lambda x: np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, missing)])  # noqa: E731
-        first = [np.moveaxis(more(x), -1, 0) for x in (self.control, self.twists)]
-        return [*first, self.half, more(self.sizes), more(self.floor)]
+        control, twists, sizes, floor = _filled((self.control, self.twists, self.sizes, self.floor), count)
+        return np.moveaxis(control, -1, 0), np.moveaxis(twists, -1, 0), self.half, sizes, floor, self.rows
+
+    @property
+    def programs(self) -> dict[str, passes.Pass]:
+        """For parts of them, by the kind of part."""
+        return ERRORS
+
+
+class Turned(NamedTuple):
+    """Undivided normals of patches (``geometry.normals``), float64, patches last, and the angle that is allowed."""
+
+    net: np.ndarray  # (ku+1, kv+1, 3, patches)
+    sizes: np.ndarray  # (patches,): of a coordinate
+    angle: float  # radians
+
+    def page(self, count: int) -> tuple[Any, ...]:
+        """As of ``Pictured``."""
+        net, sizes = _filled((self.net, self.sizes), count)
+        return np.moveaxis(net, -1, 0), sizes, np.float64(self.angle)
+
+    @property
+    def programs(self) -> dict[str, passes.Pass]:
+        """As of ``Pictured``."""
+        return TURNS
+
+
+def _filled(arrays: tuple[np.ndarray, ...], count: int) -> list[np.ndarray]:
+    """With zeros behind the last patch."""
+    return [np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, count - x.shape[-1])]) for x in arrays]
 
 
 class Pictures:
@@ -80,16 +108,18 @@ class Pictures:
     count : of all patches
     """
 
-    def __init__(self, make: Callable[[np.ndarray], Pictured], count: int) -> None:
+    def __init__(self, make: Callable[[np.ndarray], Pictured | Turned], count: int) -> None:
         self._make = make
         self._place = np.full(count, -1)
         self._pages: list[tuple[Any, ...]] = []
+        self._programs: dict[str, passes.Pass] = {}
 
-    def through(self, compiled: Any, patch: Int[np.ndarray, "n"], *numbers: np.ndarray) -> Float[np.ndarray, "n"]:
-        """What a pass makes of patches and numbers ``(n, ...)`` each."""
+    def errors(self, kind: str, patch: Int[np.ndarray, "n"], *numbers: np.ndarray) -> Float[np.ndarray, "n"]:
+        """At most how far parts of a kind err, over what is allowed; numbers ``(n, ...)`` tell which parts."""
         if not len(patch):
             return np.zeros(0)
         self._look_for(patch)
+        compiled = self._programs[kind]
         page, place = np.divmod(self._place[patch], TUNING.page)
         items, found = np.column_stack([place, *numbers]).astype(np.float64), np.empty(len(patch))
         which = _blocks(page, TUNING.cells)
@@ -108,7 +138,8 @@ class Pictures:
             made = self._make(own)
             self._place[own] = len(self._pages) * TUNING.page + np.arange(len(own))
             with jax.enable_x64(True):
-                self._pages.append((*(jnp.asarray(x) for x in made.page(TUNING.page)), made.rows))
+                page, self._programs = made.page(TUNING.page), made.programs
+                self._pages.append(tuple(x if isinstance(x, int) else jnp.asarray(x) for x in page))
 
 
 def _blocks(page: np.ndarray, size: int) -> Int[np.ndarray, "blocks size"]:
@@ -127,7 +158,7 @@ def cell_errors(
 
     Infinite where a cell is beside or behind the near plane.
     """
-    return pictures.through(_cells_pass, patch, low, high)
+    return pictures.errors("cell", patch, low, high)
 
 
 def triangle_errors(
@@ -138,7 +169,7 @@ def triangle_errors(
     closer : of which triangles, if they are just above 1, parts are looked at one by one
     """
     flat = corners.reshape(-1, 6)
-    error = pictures.through(_triangles_pass, patch, flat)
+    error = pictures.errors("triangle", patch, flat)
     near = np.flatnonzero((error > 1.0) & (error < _NEAR) & closer)
     parts = np.tile(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 1.0]), (len(near), 1))  # shares of the second and third corner
 
@@ -147,7 +178,7 @@ def triangle_errors(
         ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
         return np.stack([np.hstack(t) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (bc, ca, ab))], axis=1)
 
-    find = lambda own, part: pictures.through(_pieces_pass, patch[own], flat[own], part)  # noqa: E731
+    find = lambda own, part: pictures.errors("piece", patch[own], flat[own], part)  # noqa: E731
     return _part_by_part(error, near, parts, quarters, find)
 
 
@@ -160,7 +191,7 @@ def _closer(pictures: Pictures, patch: np.ndarray, low: np.ndarray, high: np.nda
         return np.concatenate([place, np.broadcast_to(side[:, None, None], (*place.shape[:2], 1))], axis=2)
 
     parts = np.tile([0.0, 0.0, 1.0], (len(near), 1))
-    find = lambda own, part: pictures.through(_windows_pass, patch[own], low[own], high[own], part)  # noqa: E731
+    find = lambda own, part: pictures.errors("window", patch[own], low[own], high[own], part)  # noqa: E731
     return _part_by_part(error, near, parts, quarters, find)
 
 
@@ -217,17 +248,21 @@ def grid_errors(
     return worst
 
 
-def verified_factors(factor: Float[np.ndarray, "patches"], pictures: Pictures) -> Float[np.ndarray, "patches"]:
+def verified_factors(
+    factor: Float[np.ndarray, "patches"], errors: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+) -> Float[np.ndarray, "patches"]:
     """Certified factors, or the smallest whole numbers from which on every grid up to them is proved fine.
 
     Grids are tried from the certified one downwards until one cannot be proved.
+
+    errors : of patches with levels ``(n, 2)`` and lines of grids by level, at most (``Certificate.even_errors``)
     """
     factor = np.asarray(factor, np.float64).copy()
     trial = np.ceil(factor).astype(np.int64) - 1
     open_ones = np.flatnonzero((trial >= 1) & (factor <= _HIGHEST))
     for _ in range(_TRIED):
         levels = np.repeat(trial[open_ones, None], 2, axis=1)
-        fine = grid_errors(pictures, open_ones, levels, _EVEN, closer=True) <= 1.0
+        fine = errors(open_ones, levels, _EVEN) <= 1.0
         open_ones = open_ones[fine]
         factor[open_ones] = trial[open_ones]
         trial[open_ones] -= 1
@@ -235,14 +270,20 @@ def verified_factors(factor: Float[np.ndarray, "patches"], pictures: Pictures) -
     return factor
 
 
-def _pass_of(kernel: Callable[..., Any]) -> passes.Pass:
-    """Of a kernel of ``bounds.parts``, for items of one page."""
-
-    def run(packed: Any, control: Any, twists: Any, half: Any, sizes: Any, floor: Any, rows: int) -> Any:
-        return loops.over_chunks(partial(kernel, rows=rows), packed, control, twists, half, sizes, floor)
+def _error_pass(kind: str) -> passes.Pass:
+    def run(packed: Any, *pictured: Any) -> Any:
+        *arrays, rows = pictured
+        return loops.over_chunks(partial(part_error, kind=kind, rows=rows), packed, *arrays)
 
     return passes.Pass(run, (6,))
 
 
-_cells_pass, _windows_pass = _pass_of(cell_error), _pass_of(window_error)
-_triangles_pass, _pieces_pass = _pass_of(triangle_error), _pass_of(piece_error)
+def _turn_pass(kind: str) -> passes.Pass:
+    def run(packed: Any, *pictured: Any) -> Any:
+        return loops.over_chunks(partial(part_turn, kind=kind), packed, *pictured)
+
+    return passes.Pass(run)
+
+
+ERRORS = {kind: _error_pass(kind) for kind in PARTS}
+TURNS = {kind: _turn_pass(kind) for kind in PARTS}

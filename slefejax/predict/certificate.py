@@ -18,6 +18,7 @@ from slefejax.lanes.memory import Memory
 from slefejax.lanes.tuning import TUNING
 from slefejax.predict.cells import Pictures, grid_errors, triangle_errors
 from slefejax.predict.certified import certified_factor
+from slefejax.predict.normals import NormalClaim, shape_of
 from slefejax.tessellator.levels import HIGHEST_LEVEL
 from slefejax.tessellator.rings import Pattern
 
@@ -38,6 +39,7 @@ class Certificate:
     memory     : what is known of cells and triangles of the same patches in the same view
     closer     : cells just above the tolerance are looked at part by part, of large grids too
     loose      : bounds of few large cells and triangles are loose: of those parts are looked at in any case
+    normals    : an angle that interpolated normals have to keep too
     scale      : that of ``Factors.scaled``: what is proved for n is taken for scale times n, and errors of 1/scale^2
                  times the tolerance are allowed
     """
@@ -51,6 +53,7 @@ class Certificate:
     memory: Memory
     closer: bool = False
     loose: bool = False
+    normals: NormalClaim | None = None
     scale: float = 1.0
 
     @cached_property
@@ -79,6 +82,15 @@ class Certificate:
         numbers = np.column_stack([extents, np.broadcast_to(evenness, len(nets))])
         return self.scale * self._through(_boxes_pass, nets, numbers, self.tiles)
 
+    def factors_of(
+        self, patch: Int[np.ndarray, "n"], extents: Float[np.ndarray, "n 2"], evenness: Any
+    ) -> Float[np.ndarray, "n"]:
+        """The same of whole patches, for their normals too."""
+        found = self.factors(self.patches[patch], extents, evenness)
+        if self.normals is None:
+            return found
+        return np.where(found > 0, np.maximum(found, self.scale * self.normals.boxes(patch, extents, evenness)), 0.0)
+
     def grids_keep(
         self, patch: Int[np.ndarray, "n"], levels: Int[np.ndarray, "n 2"], in_pieces: bool = False
     ) -> Bool[np.ndarray, "n"]:
@@ -105,7 +117,7 @@ class Certificate:
         sides = self.pattern.cells(levels)
         size = np.sqrt(sides[:, 0] * sides[:, 1])
         evenness = self.pattern.narrowest(levels).min(axis=1)
-        return self.factors(self.patches[patch], sides / size[:, None], evenness) * size <= 1.0
+        return self.factors_of(patch, sides / size[:, None], evenness) * size <= 1.0
 
     def grid_errors(
         self, patch: Int[np.ndarray, "n"], levels: Int[np.ndarray, "n 2"], in_pieces: bool = False
@@ -114,8 +126,25 @@ class Certificate:
         lines = self.pattern.lines(in_pieces)
         given = [*levels.T, np.full(len(patch), in_pieces)]
         closer = self.closer | (self.loose & (levels.prod(axis=1) <= _LARGE_CELLS))
-        find = lambda own: grid_errors(self.pictures, patch[own], levels[own], lines, closer[own])  # noqa: E731
+
+        def find(own: np.ndarray) -> np.ndarray:
+            return self._worst(lambda pictures, at: grid_errors(pictures, patch[at], levels[at], lines, closer[at]), own, patch)
+
         return self.scale**2 * self.memory.recall("grids", patch, given, find)
+
+    def _worst(self, errors: Callable[[Pictures, np.ndarray], np.ndarray], own: np.ndarray, patch: np.ndarray) -> np.ndarray:
+        """Errors of positions, and of normals where there is a claim, something is seen and positions are right."""
+        found = errors(self.pictures, own)
+        if self.normals is None:
+            return found
+        again = np.flatnonzero((found > 0) & (found <= 1.0) & self.normals.claimed[patch[own]])
+        found[again] = np.maximum(found[again], errors(self.normals.pictures, own[again]))
+        return found
+
+    def even_errors(self, patch: np.ndarray, levels: Int[np.ndarray, "n 2"], lines: np.ndarray) -> np.ndarray:
+        """As ``grid_errors``, with lines at equal steps, and part by part."""
+        every = np.arange(len(patch))
+        return self._worst(lambda pictures, at: grid_errors(pictures, patch[at], levels[at], lines, True), every, patch)
 
     def ring_errors(
         self, patch: np.ndarray, side: np.ndarray, inner: Int[np.ndarray, "n 2"], edge: np.ndarray, in_pieces: bool
@@ -124,9 +153,11 @@ class Certificate:
 
         def find(ring: np.ndarray) -> np.ndarray:
             own, corners = self.pattern.ring_triangles(side[ring], inner[ring], edge[ring], in_pieces)
-            worst = np.zeros(len(ring))
-            closer = self.loose & (inner[ring].prod(axis=1) <= _LARGE_CELLS)
-            np.maximum.at(worst, own, triangle_errors(self.pictures, patch[ring][own], corners, closer[own]))
+            worst, whose = np.zeros(len(ring)), patch[ring][own]
+            closer = (self.loose & (inner[ring].prod(axis=1) <= _LARGE_CELLS))[own]
+            every = np.arange(len(own))
+            errors = lambda pictures, at: triangle_errors(pictures, whose[at], corners[at], closer[at])  # noqa: E731
+            np.maximum.at(worst, own, self._worst(errors, every, whose))
             return worst
 
         given = [side, *inner.T, edge, np.full(len(patch), in_pieces)]
@@ -138,8 +169,7 @@ class Certificate:
         """Whether triangles of any shape, of a length along an axis of a net and a width, keep the tolerance."""
         # what is tried is not shorter, whatever rounding does to it
         length = length * (1.0 + 8.0 * np.finfo(self.patches.dtype).eps)
-        size, ratio = np.sqrt(length * width), np.sqrt(length / width)
-        extents = np.where((along == 0)[:, None], np.stack([ratio, 1.0 / ratio], 1), np.stack([1.0 / ratio, ratio], 1))
+        size, extents = shape_of(along, length, width)
         return self.scale * size * self._through(_triangles_pass, nets, extents, self.tiles) <= 1.0
 
     @cached_property
@@ -161,7 +191,7 @@ class Certificate:
         """Levels in the ratio of those given from which on all grids keep the tolerance, raised along u, v or both."""
         u, v = np.maximum(levels, 1).T
         extents = np.stack([np.sqrt(v / u), np.sqrt(u / v)], axis=1)
-        factor = self.factors(self.patches[patch], extents, 0.0)[:, None]
+        factor = self.factors_of(patch, extents, 0.0)[:, None]
         return self.pattern.levels_for(np.maximum(factor / extents, factor > 0))
 
     def _through(self, compiled: Callable[..., Any], nets: Any, numbers: np.ndarray, *more: Any) -> np.ndarray:

@@ -25,13 +25,13 @@ from slefejax.lanes import loops, nets
 from slefejax.lanes.maxima import EXACT, Maxima, larger, smaller
 from slefejax.lanes.nets import Lanes, Net
 from slefejax.lanes.tuning import TUNING
+from slefejax.predict.terms import Terms, solved
 
 Hessian = tuple[Net | None, ...]  # uu, uv, vv
 
 # d/du, d/dv, multiplicity
 _THIRD = ((3, 0, 1.0), (2, 1, 3.0), (1, 2, 3.0), (0, 3, 1.0))
 _FOURTH = ((4, 0, 1.0), (3, 1, 4.0), (2, 2, 6.0), (1, 3, 4.0), (0, 4, 1.0))
-_TURNS = 2  # towards the n that a tile needs
 _ROUNDING = 16.0  # a coefficient of a tile is wrong by at most half of this, in eps of the sum of its terms' sizes
 
 
@@ -387,36 +387,8 @@ def _square(
         third, least = triangles.third(remainder.along_u, remainder.along_v, maxima)
         rest = (w_bend / 8.0 + rounding * size) * piece.widest
         terms = Terms(second, third, remainder.fourth, least, rest)
-        squares.append(_solved(terms, maxima) if inverse is None else terms.square(inverse, maxima))
+        squares.append(solved(terms, maxima) if inverse is None else terms.square(inverse, maxima))
     return maxima.largest(squares)
-
-
-class Terms(NamedTuple):
-    """n^2 is to be at least second/8 + third/n + fourth/n^2 + rest, and second at least ``least``/n."""
-
-    second: Lanes
-    third: Lanes
-    fourth: Lanes
-    least: Lanes | None
-    rest: Lanes
-
-    def square(self, over_n: Lanes, maxima: Maxima) -> Lanes:
-        """The right side for some 1/n: too large for 1/n that is too large."""
-        second = self.second if self.least is None else maxima.largest([self.second, self.least * over_n])
-        return second / 8.0 + (self.third + self.fourth * over_n) * over_n + self.rest
-
-
-def _solved(terms: Terms, maxima: Maxima) -> Lanes:
-    """The least n^2 that is enough, or a little more.
-
-    What comes of an n that is too large is too small, and the other way round: in turns, both come nearer.
-    """
-    # each root ends a loop of the compiler's, and the next one would begin with all that terms are made of
-    terms = loops.once(terms)
-    square = terms.second / 8.0  # less than what is enough
-    for _ in range(2 * _TURNS + 1):
-        square = terms.square(1.0 / jnp.sqrt(larger(square, jnp.ones_like(square))), maxima)
-    return square
 
 
 def _followed(screen: Screen, piece: Piece, row: Net, size: Lanes, triangles: Triangles, maxima: Maxima) -> Lanes:

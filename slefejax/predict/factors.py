@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from slefejax.arguments import Number, Patches, check_positive, on_host
 from slefejax.errors import InputError
@@ -43,6 +43,8 @@ class Factors:
     known   : the result of ``slefejax.tessellator.edges.shared_edges`` if it is there already
     pairs   : ``(patches, 2)``, levels along u and v with few cells, if they were asked for (``anisotropic``)
     certify : of certified factors: makes what decides which grids and transition rings keep the tolerance
+    without_normal : ``(patches,)``, on which patches that are seen normals have no claim, such as at cusps; None if
+            there is no tolerance for normals
     """
 
     factor: Float[Array | np.ndarray, "patches"]
@@ -51,6 +53,7 @@ class Factors:
     known: Int[np.ndarray, "patches 4"] | None = field(default=None, repr=False)
     pairs: Int[np.ndarray, "patches 2"] | None = field(default=None, repr=False)
     certify: Callable[[], Certificate] | None = field(default=None, repr=False)
+    without_normal: Bool[Array | np.ndarray, "patches"] | None = field(default=None, repr=False)
 
     @cached_property
     def levels(self) -> Int[np.ndarray, "patches"]:

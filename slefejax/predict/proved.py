@@ -120,28 +120,38 @@ def ring_errors(
 def _lengths_keep(
     certificate: Certificate, inner: Pairs, edges: Numbers, patch: np.ndarray, side: np.ndarray, in_pieces: bool
 ) -> Bool[np.ndarray, "n"]:
-    holds = np.ones(len(patch), bool)
     _, n, m, along = ringed_sides(inner, edges, patch, side)
     reach = certificate.pattern.fine_reach if in_pieces else certificate.pattern.reach
     length = (reach[n, m] + 2.0 / ONE) / along  # a little more, for what single precision makes of them
+    across = np.maximum(np.take_along_axis(inner[patch], 1 - OWN_AXIS[side][:, None], axis=1)[:, 0], 2)
+    width = certificate.pattern.cells(across)
+    holds = np.ones(len(patch), bool)
     for start in range(0, len(patch), _BLOCK):
         # one side after the other, so that all of a block are one call
-        block = np.arange(start, min(start + _BLOCK, len(patch)))
-        axis = OWN_AXIS[side[block]]
-        if isinstance(certificate.patches, GregoryPatches):
-            across = np.maximum(np.take_along_axis(inner[patch[block]], 1 - axis[:, None], axis=1)[:, 0], 2)
-            given = certificate.patches[patch[block]], axis, length[block], certificate.pattern.cells(across)
-            holds[block] = certificate.triangles_keep(*given)
-            continue
-        by_side = [block[side[block] == which] for which in range(4)]
-        nets = []
-        for which, own in enumerate(by_side):
-            across = np.maximum(inner[patch[own], 1 - OWN_AXIS[which]], 2)
-            width = certificate.pattern.cells(across)[:, None]
-            nets.append(strips(certificate.patches[patch[own]], which, width)[:, 0])
-        own = np.concatenate(by_side)
-        holds[own] = certificate.triangles_keep(np.concatenate(nets), OWN_AXIS[side[own]], length[own])
+        block = start + np.argsort(side[start : start + _BLOCK], kind="stable")
+        own = patch[block], side[block], length[block], width[block]
+        holds[block] = _positions_keep(certificate, *own)
+        if certificate.normals is not None:
+            axis, nets = OWN_AXIS[side[block]], _along_sides(certificate.normals.nets(patch[block]), *own[1::2])
+            holds[block] &= certificate.normals.triangles_keep(nets, patch[block], axis, length[block], certificate.scale)
     return holds
+
+
+def _positions_keep(
+    certificate: Certificate, patch: np.ndarray, side: np.ndarray, length: np.ndarray, width: np.ndarray
+) -> Bool[np.ndarray, "n"]:
+    """Whether triangles that long, in strips along sides, keep the tolerance."""
+    patches, axis = certificate.patches[patch], OWN_AXIS[side]
+    if isinstance(patches, GregoryPatches):
+        return certificate.triangles_keep(patches, axis, length, width)
+    return certificate.triangles_keep(_along_sides(patches, side, width), axis, length)
+
+
+def _along_sides(nets: np.ndarray, side: np.ndarray, width: np.ndarray) -> np.ndarray:
+    """Strips of nets, each along its side; sides are in order."""
+    every = [np.flatnonzero(side == which) for which in range(4)]
+    found = [strips(nets[own], which, width[own, None])[:, 0] for which, own in enumerate(every)]
+    return np.concatenate(found)
 
 
 def strips(

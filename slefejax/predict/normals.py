@@ -1,0 +1,260 @@
+"""Factors for interpolated normals, and what decides which triangles keep an angle (docs/certified.md, 11).
+
+They do not depend on the view: what is found for patches serves all views.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from slefejax.arguments import on_host
+from slefejax.bounds.triangles import AnyTriangle, HalfCells
+from slefejax.geometry.normals import array_module, collapsed_sides, crossed, normal_net, without_collapsed
+from slefejax.geometry.packed import Packed
+from slefejax.lanes import layout, loops, passes
+from slefejax.lanes.maxima import Maxima, root
+from slefejax.lanes.tuning import TUNING
+from slefejax.predict.cells import Pictures, Turned
+from slefejax.predict.turning import turning
+
+MOST = 1024.0  # cells a side: a normal that needs more counts as one that does not exist
+_LOOSE = 1.75  # more tiles are worth it where second derivatives are bounded by that many times what corners tell
+_FINER = 4  # times as many tiles along each side
+
+
+class Surfaces(NamedTuple):
+    """Patches, and which of their sides are points."""
+
+    control: Any  # (nu, nv, 3 or 4, lanes)
+    collapsed: Any  # (4, lanes)
+
+    def undivided(self) -> tuple[Any, Any]:
+        """Their normals, at any scale, and the size of a coordinate, to which rounding errors are proportional."""
+        near, size = _relative(self.control)
+        (nu, nv), divided = near.shape[:2], self.collapsed.sum(axis=0)
+        return without_collapsed(normal_net(near), self.collapsed), size * (3.0 * max(nu, nv)) ** divided
+
+
+def _relative(control: Any) -> tuple[Any, Any]:
+    """Control points from a corner, with coordinates up to 1, and how large coordinates of their normals may be."""
+    xp, (nu, nv, dim) = array_module(control), control.shape[:3]
+    if dim == 4:
+        corner = control[:1, :1, :3] / control[:1, :1, 3:]
+        points, weights = control[:, :, :3] - control[:, :, 3:] * corner, control[:, :, 3:]
+        near = xp.concatenate([points / _largest(points), weights / _largest(weights)], axis=2)
+        return near, xp.full_like(control[0, 0, 0], 6.0 * (nu - 1) * (nv - 1))
+    points = control - control[:1, :1]
+    near = points / _largest(points)
+    steps = _largest(near[1:] - near[:-1]) * _largest(near[:, 1:] - near[:, :-1])
+    return near, 2.0 * (nu - 1) * (nv - 1) * steps
+
+
+class Tangents(NamedTuple):
+    """Tangent nets along u, ``(du, dv+1, 3, lanes)``, and along v, ``(du+1, dv, 3, lanes)``."""
+
+    along_u: Any
+    along_v: Any
+
+    def undivided(self) -> tuple[Any, Any]:
+        """As of ``Surfaces``."""
+        near = [net / _largest(net) for net in self]
+        return crossed(*near), array_module(*near).full_like(near[0][0, 0, 0], 2.0)
+
+
+def _largest(net: Any) -> Any:
+    """The size of the largest number of a net, or 1 where all are 0."""
+    xp = array_module(net)
+    size = xp.max(xp.abs(net), axis=(0, 1, 2))
+    size = xp.where(size > 0, size, xp.ones_like(size))
+    return size if xp is np else jax.lax.stop_gradient(size)
+
+
+@loops.chunked
+def _turning_factors(given: Any, angle: Any, maxima: Maxima, *, tiles: int) -> Any:
+    """Real factors, infinite where nothing is known, and where more tiles may find less."""
+    found = turning(*given.undivided(), angle, tiles=tiles, maxima=maxima)
+    return root(found.square), ~(found.second <= _LOOSE * jnp.maximum(found.corners, 1.0))
+
+
+@_turning_factors.rest
+def _finer(given: Any, angle: Any, maxima: Maxima, *, tiles: int) -> Array:
+    return root(turning(*given.undivided(), angle, tiles=_FINER * tiles, maxima=maxima).square)
+
+
+@_turning_factors.slopes
+def _slopes(given: Any, _: Any, angle: Any, maxima: Maxima, *, tiles: int) -> Array:
+    found, loose = _turning_factors.kernel(given, angle, maxima, tiles=tiles)
+    # a root of what is infinite has no slope
+    return jnp.where(loose, _finer(given, angle, maxima, tiles=tiles), found)
+
+
+@passes.as_pass(3)
+def _turning_pass(given: Any, angle: Any, maxima: Maxima, tiles: int) -> Any:
+    chunks, lanes = jax.tree.leaves(given)[0].shape[0], jax.tree.leaves(given)[0].shape[-1]
+    found = _turning_factors(jax.tree.map(_narrow, given), angle, maxima, tiles=tiles)
+    return found.reshape(chunks, lanes)
+
+
+def _narrow(packed: Array) -> Array:
+    """Chunks of fewer lanes: nets of normals are large."""
+    lanes = packed.shape[-1]
+    own = min(lanes, TUNING.turned)
+    parts = packed.reshape(*packed.shape[:-1], lanes // own, own)
+    return jnp.moveaxis(parts, -2, 1).reshape(-1, *packed.shape[1:-1], own)
+
+
+def turning_factors(given: Any, count: int, degrees: Any, maxima: Maxima, tiles: int) -> Float[Array, "patches"]:
+    """Real factors from which on interpolated normals of patches are right to within an angle; infinite: no claim.
+
+    given : ``Surfaces`` or ``Tangents``, chunks of them
+    """
+    angle = jnp.deg2rad(jnp.asarray(degrees, jax.tree.leaves(given)[0].dtype))
+    found = layout.unpack(_turning_pass(given, angle, maxima, tiles), count)
+    return jnp.where(found <= MOST, found, jnp.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class Shading:
+    """How patches are shaded, and how far off that may be.
+
+    packed   : the patches
+    tangents : arrays ``(patches, du, dv+1, 3)`` and ``(patches, du+1, dv, 3)``; None: the surface's own normals
+    degrees  : how far interpolated normals may be from the exact ones
+    maxima   : of the factors
+    tiles    : along each side of a patch, more where they find less
+    """
+
+    packed: Packed
+    tangents: Any
+    degrees: Any
+    maxima: Maxima
+    tiles: int
+
+    @cached_property
+    def factor(self) -> Float[Array, "patches"]:
+        """From which on they are not; infinite where there is no claim, such as at cusps."""
+        return turning_factors(self._chunks, len(self.packed), self.degrees, self.maxima, self.tiles)
+
+    @property
+    def _chunks(self) -> Surfaces | Tangents:
+        if self.tangents is not None:
+            most = layout.most_lanes(int(np.prod(self.packed_shape)))
+            return Tangents(*(layout.pack(own, most) for own in self.tangents))
+        control = self.packed.chunks
+        if self.packed.rounded and self.packed.given is not None:
+            control = layout.pack(_from_corners(self.packed), layout.most_lanes(int(np.prod(self.packed_shape))))
+        return Surfaces(control, layout.pack(self._collapsed, control.shape[-1]))
+
+    @property
+    def packed_shape(self) -> tuple[int, int]:
+        """Of control nets."""
+        return self.packed.chunks.shape[1:3]
+
+    @cached_property
+    def _collapsed(self) -> Bool[Array | np.ndarray, "patches 4"]:
+        return collapsed_sides(self.packed.patches())
+
+    def joined(self, factor: Any) -> tuple[Any, Any]:
+        """Factors for positions and normals both, and of which patches on the screen normals have no claim."""
+        claimed = jnp.isfinite(self.factor)
+        both = self.maxima.largest([factor, jnp.where(claimed, self.factor, 0.0).astype(factor.dtype)])
+        return jnp.where(factor > 0, both, factor), ~claimed & (factor > 0)
+
+    def claim(self) -> NormalClaim:
+        """What tells which triangles keep the angle."""
+        angle = float(np.deg2rad(float(self.degrees)))
+        return NormalClaim(
+            Pictures(self._turned, len(self.packed)), self._turned, angle, self.tiles, np.isfinite(self.factor)
+        )
+
+    def _turned(self, which: np.ndarray) -> Turned:
+        """In double precision, whatever the patches are in."""
+        if self.tangents is None:
+            patches = np.moveaxis(np.asarray(on_host(self.packed.patches())[which], np.float64), 0, -1)
+            given: Any = Surfaces(patches, np.asarray(self._collapsed)[which].T)
+        else:
+            given = Tangents(*(np.moveaxis(np.asarray(own, np.float64)[which], 0, -1) for own in self.tangents))
+        net, size = given.undivided()
+        return Turned(net, size, float(np.deg2rad(float(self.degrees))))
+
+
+def _from_corners(packed: Packed) -> np.ndarray:
+    """Control points from a corner of each patch, which loses nothing where they are rounded."""
+    given = np.asarray(packed.given, np.float64)
+    corner = given[:, :1, :1, :3] / (given[:, :1, :1, 3:] if given.shape[-1] == 4 else 1.0)
+    weights = given[..., 3:] if given.shape[-1] == 4 else 1.0
+    return np.concatenate([given[..., :3] - weights * corner, given[..., 3:]], axis=-1).astype(packed.dtype)
+
+
+@dataclass(frozen=True, eq=False)
+class NormalClaim:
+    """Which triangles keep an angle. Errors are over it; of patches without a claim they are 0."""
+
+    pictures: Pictures
+    turned: Callable[[np.ndarray], Turned]
+    angle: float
+    tiles: int
+    claimed: Bool[np.ndarray, "patches"]
+
+    def nets(self, patch: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n ku kv 3"]:
+        """Undivided normals."""
+        return np.moveaxis(self.turned(patch).net, -1, 0)
+
+    def boxes(self, patch: np.ndarray, extents: np.ndarray, evenness: Any) -> Float[np.ndarray, "n"]:
+        """Real factors for halves of boxes of sides extent/n (``Certificate.factors``); 0 without a claim."""
+        numbers = np.column_stack([extents, np.broadcast_to(evenness, len(patch))])
+        return self._through(_boxes_pass, self.nets(patch), patch, numbers)
+
+    def triangles_keep(
+        self, nets: np.ndarray, patch: np.ndarray, along: np.ndarray, length: np.ndarray, scale: float
+    ) -> Bool[np.ndarray, "n"]:
+        """Whether triangles of any shape, of a length along an axis of nets, keep the angle."""
+        size, extents = shape_of(along, length, 1.0)
+        return scale * size * self._through(_triangles_pass, nets, patch, extents) <= 1.0
+
+    def _through(self, compiled: Any, nets: np.ndarray, patch: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+        found = np.zeros(len(patch))
+        own = np.flatnonzero(self.claimed[patch])
+        if len(own):
+            numbers = np.column_stack([numbers[own], self.turned(patch[own]).sizes])
+            run = lambda given: compiled(given, self.angle, self.tiles)  # noqa: E731
+            with jax.enable_x64(True):
+                found[own] = layout.through(run, (nets[own], numbers), np.float64)
+        return found
+
+
+def shape_of(along: np.ndarray, length: np.ndarray, width: Any) -> tuple[np.ndarray, Float[np.ndarray, "n 2"]]:
+    """Of triangles of a length along an axis and a width: 1/n, and the sides of the box that holds them times n.
+
+    >>> [x.tolist() for x in shape_of(np.array([0]), np.array([0.5]), 0.125)]
+    [[0.25], [[2.0, 0.5]]]
+    """
+    ratio = np.sqrt(length / width)
+    long_u, long_v = np.stack([ratio, 1.0 / ratio], 1), np.stack([1.0 / ratio, ratio], 1)
+    return np.sqrt(length * width), np.where((along == 0)[:, None], long_u, long_v)
+
+
+@passes.as_pass(2)
+def _boxes_pass(given: Any, angle: Any, tiles: int) -> Any:
+    def kernel(both: Any) -> Any:
+        net, (e_u, e_v, evenness, size) = both
+        return root(turning(net, size, angle, HalfCells((e_u, e_v), evenness), tiles=tiles).square)
+
+    return loops.over_chunks(kernel, given)
+
+
+@passes.as_pass(2)
+def _triangles_pass(given: Any, angle: Any, tiles: int) -> Any:
+    def kernel(both: Any) -> Any:
+        net, (e_u, e_v, size) = both
+        return root(turning(net, size, angle, AnyTriangle((e_u, e_v)), tiles=tiles).square)
+
+    return loops.over_chunks(kernel, given)
