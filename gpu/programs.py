@@ -28,11 +28,11 @@ class Shape(NamedTuple):
 
 
 class Options(NamedTuple):
-    """What is drawn of patches: with which spacing, with sides that are their owners' (sides.glsl), with normals."""
+    """What is drawn of patches: with which spacing, with sides that are their owners' (sides.glsl), which normals."""
 
     spacing: str
     owned: bool
-    normals: bool
+    normals: str | None
 
 
 def draw_program(context: Any, shape: Shape, options: Options) -> Any:
@@ -50,7 +50,8 @@ def _program(context: Any, shape: Shape, options: Options, stages: dict[str, str
     defines: dict[str, Any] = {"DEGREE_U": shape.nu - 1, "DEGREE_V": shape.nv - 1, "COORDINATES": shape.dim}
     defines |= {"TWISTS": shape.twists, "NESTED": int(shape.levels is not None), "LEVELS": shape.levels or 0}
     defines |= {"SPACING": options.spacing.replace("-", "_") + "_spacing"}
-    defines |= {"OWNED_SIDES": int(options.owned), "NORMALS": int(options.normals)}
+    defines |= {"OWNED_SIDES": int(options.owned), "NORMALS": int(options.normals is not None)}
+    defines |= {"TANGENT_NETS": int(options.normals == "tangents")}
     sources = {stage: _source(name, defines) for stage, name in stages.items()}
     try:
         return context.program(**sources)

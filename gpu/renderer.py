@@ -11,10 +11,11 @@ from jaxtyping import Float, Int, Real
 
 from slefejax.arguments import real_numbers, whole_numbers
 from slefejax.errors import InputError, OpenGLError
+from slefejax.geometry.shading import kind_of_normals
 from slefejax.geometry.view import View
 from slefejax.gpu.context import Device, open_device
 from slefejax.gpu.programs import Options, capture_program, draw_program
-from slefejax.gpu.sent import owner_records, runs, sent, sides_of
+from slefejax.gpu.sent import owner_records, sent, sides_of, write_changed
 from slefejax.gpu.strays import Strays, drawn_at, nearest_drawn, normals_at
 from slefejax.gpu.unseen import without_unseen
 from slefejax.tessellator.edges import Sides
@@ -31,7 +32,7 @@ from slefejax.tessellator.levels import (
 VERTICES_A_DRAW = 65_536
 _RECORD, _NORMALS = 20, 9  # floats a captured triangle, and how many more with normals, see capture.geom
 _PIECE = 12  # floats a piece, see patch.tesc
-_OWNERS, _PARTS = 4, 5  # bindings, see sides.glsl and nested.glsl
+_OWNERS = 4  # binding, see sides.glsl
 _ATTACHMENTS = (4, 2, 4)  # components of the G-buffer's parts, see gbuffer.frag; without normals two of them
 _PROGRAMS = {"draw": draw_program, "capture": capture_program}
 
@@ -50,8 +51,8 @@ class GBuffer:
     drawn : float32 ``(height, width, 2)``, where the triangle's point with these parameters is drawn: so many pixels to
             the right of the pixel's centre and above it, 0 where nothing was drawn
     normal : float32 ``(height, width, 3)``, unit normals in the scene's axes, along p_u x p_v whatever side is seen:
-             those of the surface at the vertices, undivided, interpolated with perspective (docs/math.md, 4). NaN where
-             nothing was drawn, and where the triangle has no normal. None unless they were asked for
+             those at the vertices, undivided, interpolated with perspective (docs/math.md, 4). NaN where nothing was
+             drawn, and where the triangle has no normal. None unless they were asked for
     """
 
     u: Float[np.ndarray, "height width"]
@@ -69,7 +70,8 @@ class Triangles:
     patch      : ``(triangles,)`` int32
     parameters : ``(triangles, 3, 2)`` float32, (u, v) of each vertex
     clip       : ``(triangles, 3, 4)`` float32, its clip-space position
-    normal     : ``(triangles, 3, 3)`` float32, its normal in the scene's axes, of any length, 0 if there is none. None
+    normal     : ``(triangles, 3, 3)`` float32, its normal in the scene's axes, 0 if there is none: N over the distances
+                 from sides that are points (``slefejax.geometry.normals``), times a number of the patch's own. None
                  unless they were asked for
     """
 
@@ -86,15 +88,20 @@ class Renderer:
     nothing: parameters are the patch's, and neighbours meet without a crack. Pieces that are off the screen are left
     out.
 
-    patches : ``(patches, du+1, dv+1, 3)`` or, rational, 4 at the end, or ``GregoryPatches``; sent as float32, relative
-              to the box around them, so that a scene far from the origin, or of any size, loses nothing. Or
-              ``NestedNets`` of Gaussian products, each of whose squares is a patch
-    device  : from ``open_device``, which is called if it is not given
-    spacing : ``"equal"``: levels are whole numbers; ``"fractional-even"``, ``"fractional-odd"``: any numbers up to the
-              limit, and vertices move as they change, instead of coming and going
-    sides   : which curve each side is (``tessellator.edges``): vertices on it are points of its owner. If they are not
-              given, sides are shared where their points are equal, or equal once raised to one degree
-    normals : whether pictures and triangles have normals, too
+    patches  : ``(patches, du+1, dv+1, 3)`` or, rational, 4 at the end, or ``GregoryPatches``; sent as float32, relative
+               to the box around them, so that a scene far from the origin, or of any size, loses nothing. Or
+               ``NestedNets`` of Gaussian products, each of whose squares is a patch
+    device   : from ``open_device``, which is called if it is not given
+    spacing  : ``"equal"``: levels are whole numbers; ``"fractional-even"``, ``"fractional-odd"``: any numbers up to the
+               limit, and vertices move as they change, instead of coming and going
+    sides    : which curve each side is (``tessellator.edges``): vertices on it are points of its owner. If they are not
+               given, sides are shared where their points are equal, or equal once raised to one degree
+    normals  : whether pictures and triangles have normals, too: True or ``"surface"`` for those of the surface,
+               ``"tangents"`` for those of tangent patches, which agree along edges where the surface's jump
+    tangents : for these: along u ``(patches, du, dv+1, 3)`` and along v ``(patches, du+1, dv, 3)``, as of
+               ``scene.tangents()``
+
+    Raises InputError for patches, sides, normals or tangents that do not fit.
 
     >>> renderer = Renderer(patches)                                        # doctest: +SKIP
     >>> buffer = renderer.draw(view, factors.inner, factors.edges)          # doctest: +SKIP
@@ -109,19 +116,19 @@ class Renderer:
         device: Device | None = None,
         spacing: str = "equal",
         sides: Sides | None = None,
-        normals: bool = False,
+        normals: bool | str = False,
+        tangents: Any = None,
     ) -> None:
         check_spacing(spacing)
-        self.device, self.spacing, self.normals = device or open_device(), spacing, normals
-        self._attachments = _ATTACHMENTS if normals else _ATTACHMENTS[:2]
+        self.normals = kind_of_normals(normals)
+        self.device, self.spacing = device or open_device(), spacing
+        self._attachments = _ATTACHMENTS if self.normals else _ATTACHMENTS[:2]
         self.device.check_thread()
         self.device.collect()
-        self._sent = sent(patches)
+        self._sent = sent(patches, None, self.normals, tangents)
         self._count = self.moved = len(self._sent)
         context = self.device.context
-        self._buffers = {0: context.buffer(self._sent.records.tobytes())}
-        if self._sent.parts is not None:
-            self._buffers[_PARTS] = context.buffer(self._sent.parts.tobytes())
+        self._buffers = {binding: context.buffer(own.tobytes()) for binding, own in self._sent.buffers.items()}
         # where all sides have equally many points, those that are one curve have equal ones: each patch's own will do
         self._finds_sides = sides is None and self._sent.shape.nu != self._sent.shape.nv
         if self._finds_sides:
@@ -142,19 +149,20 @@ class Renderer:
             " another one of the same patches"
         )
 
-    def move(self, patches: Any) -> None:
+    def move(self, patches: Any, tangents: Any = None) -> None:
         """Other control points for the same patches, of which only those that differ are sent (``moved``).
 
-        Raises InputError if there are more or fewer of them.
+        tangents : other tangent patches, needed where normals are theirs; only those that differ are sent
+
+        Raises InputError if there are more or fewer patches, or other tangents than the renderer was made with.
         """
         self.device.check_thread()
-        found = sent(patches, self._sent)
-        if (found.records.shape, found.shape) != (self._sent.records.shape, self._sent.shape):
+        found = sent(patches, self._sent, self.normals, tangents)
+        before, now = self._sent.buffers, found.buffers
+        if found.shape != self._sent.shape or any(own.shape != before[k].shape for k, own in now.items()):
             raise InputError(f"patches that move keep their number and degree: {self._sent}, not {found}")
-        changed = np.any(found.records != self._sent.records, axis=1)
-        for first, count in runs(changed):
-            self._buffers[0].write(found.records[first : first + count].tobytes(), first * found.records[0].nbytes)
-        self.moved = int(changed.sum())
+        written = {k: write_changed(self._buffers[k], own, before[k]) for k, own in now.items()}
+        self.moved = written[0]
         self._drawn = None
         self._sent = found
         if self._finds_sides:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,23 +13,28 @@ from slefejax.arguments import Patches, check_patches, on_host
 from slefejax.errors import InputError
 from slefejax.geometry.gregory import GregoryPatches
 from slefejax.geometry.nested import NestedNets
+from slefejax.geometry.normals import collapsed_sides
+from slefejax.geometry.shading import TangentNets, still_sides, tangent_nets
 from slefejax.geometry.view import LARGEST
 from slefejax.gpu.programs import Shape
 from slefejax.tessellator.edges import Sides
 
 _HIGHEST_PATCH_NUMBER = 2**24
+_CONTROL, _PARTS, _COLLAPSED, _TANGENTS = 0, 5, 6, 7  # bindings, see the shaders
 
 
 @dataclass(frozen=True, eq=False)
 class Sent:
     """Control points as they are on the device.
 
-    records  : ``(patches, numbers)`` float32, as bezier.glsl reads them: a patch's net, then its twists. Of
-               ``NestedNets`` as nested.glsl does: a net of q
-    to_world : ``(4, 4)``, from these coordinates to the scene's
-    shape    : what they are
-    patches  : the same as patches; None of ``NestedNets``
-    parts    : of ``NestedNets``: ``(squares, 2)``, the first net of each and whether there are more
+    records   : ``(patches, numbers)`` float32, as bezier.glsl reads them: a patch's net, then its twists. Of
+                ``NestedNets`` as nested.glsl does: a net of q
+    to_world  : ``(4, 4)``, from these coordinates to the scene's
+    shape     : what they are
+    patches   : the same as patches; None of ``NestedNets``
+    parts     : of ``NestedNets``: ``(squares, 2)``, the first net of each and whether there are more
+    collapsed : for normals: ``(patches,)``, sides along which derivatives are 0, as collapsed.glsl reads them
+    tangents  : for normals of tangent patches: ``(patches, numbers)`` float32, as tangents.glsl reads them
     """
 
     records: Float[np.ndarray, "patches numbers"]
@@ -37,6 +42,14 @@ class Sent:
     shape: Shape
     patches: Any = None
     parts: Int[np.ndarray, "squares 2"] | None = None
+    collapsed: Int[np.ndarray, "patches"] | None = None
+    tangents: Float[np.ndarray, "patches numbers"] | None = None
+
+    @property
+    def buffers(self) -> dict[int, np.ndarray]:
+        """What lies on the device, at which binding."""
+        every = {_CONTROL: self.records, _PARTS: self.parts, _COLLAPSED: self.collapsed, _TANGENTS: self.tangents}
+        return {binding: records for binding, records in every.items() if records is not None}
 
     def __len__(self) -> int:
         return len(self.records if self.parts is None else self.parts)
@@ -48,16 +61,31 @@ class Sent:
         return f"{(len(self), nu, nv, dim)}{f' and {twists} twists' if twists else ''}"
 
 
-def sent(patches: Any, before: Sent | None = None) -> Sent:
-    """Patches as they are sent, in float32 relative to the box around them.
+def sent(patches: Any, before: Sent | None = None, normals: str | None = None, tangents: Any = None) -> Sent:
+    """Patches as they are sent, in float32 relative to the box around them, and what normals need beside them.
 
-    before : what they were, whose box is kept as long as they fill most of it: what did not move then stays the same
+    before   : what they were, whose box is kept as long as they fill most of it: what did not move then stays the same
+    normals  : of which kind, ``slefejax.geometry.shading.NORMALS``; None: none
+    tangents : tangent patches, for normals of theirs
 
-    Raises InputError for control points that are not finite or too large, and for more patches than can be numbered.
+    Raises InputError for control points that are not finite or too large, for more patches than can be numbered, and
+    for tangents that are not those of the patches.
     """
-    if isinstance(patches, NestedNets):
-        return _nested(patches)
-    given = on_host(check_patches(patches, gregory=True)).astype(np.float64)
+    own = patches if isinstance(patches, NestedNets) else on_host(check_patches(patches, gregory=True))
+    nets = tangent_nets(own, normals, tangents)
+    if isinstance(own, NestedNets):
+        return _nested(own)
+    found = _of_patches(own.astype(np.float64), before)
+    if normals is None:
+        return found
+    if nets is None:
+        return replace(found, collapsed=_as_bits(collapsed_sides(own)))
+    scale = found.to_world[0, 0]
+    return replace(found, collapsed=_as_bits(still_sides(nets)), tangents=_tangent_records(nets, scale))
+
+
+def _of_patches(given: Any, before: Sent | None) -> Sent:
+    """Of patches in float64."""
     control = given.net if isinstance(given, GregoryPatches) else given
     everything = [control] if control is given else [control, given.twists]
     bad = np.flatnonzero(~np.all([np.isfinite(x).reshape(len(x), -1).all(axis=1) for x in everything], axis=0))
@@ -73,6 +101,16 @@ def sent(patches: Any, before: Sent | None = None) -> Sent:
     own = GregoryPatches(net, (given.twists / to_world[0, 0]).astype(np.float32))
     records = np.concatenate([x.reshape(len(x), -1) for x in (own.net, own.twists)], axis=1)
     return Sent(records, to_world, Shape(*net.shape[1:], twists=own.twists.shape[1]), own)
+
+
+def _as_bits(sides: Bool[np.ndarray, "patches 4"]) -> Int[np.ndarray, "patches"]:
+    return (sides @ (1 << np.arange(4))).astype("<i4")
+
+
+def _tangent_records(nets: TangentNets, scale: float) -> Float[np.ndarray, "patches numbers"]:
+    """A patch's tangents along u, then those along v, in units of the box."""
+    flat = [net.astype(np.float64).reshape(len(net), -1) for net in nets]
+    return (np.concatenate(flat, axis=1) / scale).astype(np.float32)
 
 
 def _nested(given: NestedNets) -> Sent:
@@ -127,6 +165,14 @@ def runs(changed: Bool[np.ndarray, "patches"]) -> Iterator[tuple[int, int]]:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], changed.astype(np.int8), [0]])))
     for first, last in edges.reshape(-1, 2).tolist():
         yield first, last - first
+
+
+def write_changed(buffer: Any, records: np.ndarray, before: np.ndarray) -> int:
+    """Write those records to the buffer that are not what they were, ``before``; how many they are."""
+    changed = np.any((records != before).reshape(len(records), -1), axis=1)
+    for first, count in runs(changed):
+        buffer.write(records[first : first + count].tobytes(), first * records[0].nbytes)
+    return int(changed.sum())
 
 
 def sides_of(patches: Patches) -> Sides:

@@ -13,6 +13,7 @@ from slefejax.conversion.acc import acc_patches
 from slefejax.conversion.gaussian.published import published
 from slefejax.geometry.bezier import derivative, evaluate_patch
 from slefejax.geometry.gregory import GregoryPatches, twist_slopes
+from slefejax.geometry.normals import collapsed_sides, normal_net, without_collapsed
 from slefejax.geometry.view import homogeneous
 from slefejax.gpu.renderer import Renderer
 from slefejax.model.gaussians import with_gaussians
@@ -24,7 +25,9 @@ pytestmark = pytest.mark.gl
 
 VIEW = View(Camera.look_at((3.0, -6.0, 4.0), (0.0, 0.0, 0.0)), 240, 150)
 ROUNDING = 0.01  # degrees, of normals at vertices: some thousand times float32's eps, as control points cancel
-BESIDE = 1 / 1024  # off a side that is a point normals are taken
+INSIDE = 1 - 1e-6  # where no side is a point
+GREGORY = 5e-5  # of a patch's longest, so far inside
+REDUCED = 2e-6  # of a patch's longest: reduced normals at vertices, as much in any direction
 
 
 def levels(count, level):
@@ -38,14 +41,19 @@ def drawn(device, patches, level, view=VIEW, **options) -> Any:
     return found
 
 
-def at_vertices(device, patches, level) -> tuple[Any, ...]:
-    """Patch, u, v and unit normal of all captured vertices; none is left out."""
+def captured(device, patches, level) -> tuple[Any, ...]:
+    """Patch, u, v and undivided normal of all captured vertices; none is left out."""
     renderer = Renderer(patches, device, normals=True)
     found: Any = renderer.capture(VIEW, *levels(len(patches), level))
     renderer.release()
-    normal = found.normal.reshape(-1, 3).astype(float)
     u, v = found.parameters.reshape(-1, 2).T.astype(float)
-    return np.repeat(found.patch, 3), u, v, unit(normal)
+    return np.repeat(found.patch, 3), u, v, found.normal.reshape(-1, 3).astype(float)
+
+
+def at_vertices(device, patches, level) -> tuple[Any, ...]:
+    """The same with unit normals."""
+    *place, normal = captured(device, patches, level)
+    return *place, unit(normal)
 
 
 def degrees(found, wanted):
@@ -68,14 +76,46 @@ def unit(vectors):
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
-def exact_normals(patches, patch, u, v):
+def undivided_normals(patches, patch, u, v):
     """By NumPy, where nothing has to be compiled."""
     if isinstance(patches, GregoryPatches):
         _, *along = slopes(np.moveaxis(patches.net[patch], 0, -1), u, v)
         turns = twist_slopes(patches.twists.shape[1], u, v)
         along = [x + np.einsum("kn,nkc->nc", t, patches.twists[patch]) for x, t in zip(along, turns, strict=True)]
-        return unit(np.cross(*along))
-    return unit(bracket(np.moveaxis(homogeneous(patches)[patch], 0, -1), u, v))
+        return np.cross(*along)
+    return bracket(np.moveaxis(homogeneous(patches)[patch], 0, -1), u, v)
+
+
+def exact_normals(patches, patch, u, v):
+    return unit(undivided_normals(patches, patch, u, v))
+
+
+def reduced_normals(patches, patch, u, v):
+    """Over the distances from sides that are points, as polynomials."""
+    net = without_collapsed(normal_net(np.moveaxis(patches, 0, -1)), collapsed_sides(patches).T)
+    return evaluate_patch(net[..., patch], u, v).T
+
+
+def apart(patch, found, wanted):
+    """Of vectors that are equal but for one positive number a patch: the largest difference over the longest."""
+    worst = 0.0
+    for own in (patch == k for k in np.unique(patch)):
+        scale = np.sum(found[own] * wanted[own]) / np.sum(found[own] ** 2)
+        assert scale > 0
+        longest = np.linalg.norm(wanted[own], axis=1).max()
+        worst = max(worst, np.linalg.norm(scale * found[own] - wanted[own], axis=1).max() / longest)
+    return worst
+
+
+def with_points(rng, shape, sides):
+    """Random patches of which some sides, all along u or all along v, are points."""
+    patches = rng.normal(size=(3, *shape))
+    patches[..., 3:] = rng.uniform(0.5, 2.0, patches[..., 3:].shape)
+    for side in sides:
+        turned = patches.swapaxes(1, 2) if side % 2 else patches
+        turned[:, -(side // 2), :, :3] = turned[:, -(side // 2), :1, :3]
+    patches[..., :3] *= patches[..., 3:] if shape[2] == 4 else 1.0
+    return patches
 
 
 def solved_normals(control, u, v):
@@ -139,23 +179,61 @@ def test_normals_of_any_degrees(device, rng, shape):
     assert angles.max() < 0.1
 
 
+@pytest.mark.parametrize("sides", [(0,), (1,), (2,), (3,), (0, 2), (1, 3)])
+@pytest.mark.parametrize("shape", [(4, 4, 3), (3, 5, 4)])
+def test_normals_over_the_distance_from_sides_that_are_points(device, rng, shape, sides):
+    patches = with_points(rng, shape, sides)
+    assert np.all(np.flatnonzero(collapsed_sides(patches)[0]) == sides)
+    *place, normal = captured(device, patches, 8)
+    assert apart(place[0], normal, reduced_normals(patches, *place)) < REDUCED
+
+
+def test_reduced_normals_of_a_teapot(device, teapot):
+    patches = teapot.patches()
+    assert collapsed_sides(patches).any(axis=1).sum() == 8
+    *place, normal = captured(device, patches, 8)
+    wanted = reduced_normals(patches, *place)
+    assert apart(place[0], normal, wanted) < REDUCED
+    assert degrees(normal, wanted).max() < 1e-3
+
+
+@pytest.mark.parametrize("below", [False, True])
+def test_normals_at_the_points_of_a_teapot_come_nearer_with_the_square_of_the_level(device, teapot, below):
+    patches = teapot.patches()
+    view = View(Camera.look_at((0.3, -0.4, -8.0 if below else 8.0), (0.0, 0.0, 1.5), fov_y=20.0), 240, 150)
+    points = collapsed_sides(patches)
+    assert set(np.flatnonzero(points.any(axis=0))) == {0}
+    largest = []
+    for level in (16, 64):
+        seen = drawn(device, patches, level, view)
+        near = points[seen.patch, 0] & (seen.patch >= 0) & (seen.u < 1 / 8)
+        assert near.sum() > 1000
+        largest.append(np.nanmax(normal_error(patches, view, seen)[near]))
+    assert largest[0] / largest[1] == pytest.approx(16.0, rel=0.25)
+
+
 @pytest.mark.parametrize("weight", [1.0, 1e-14])
 def test_rational_patches_that_end_in_a_point(device, weight):
     patches = sphere(weight)[None]
-    _, u, v, normal = at_vertices(device, patches, 12)
-    points = evaluate_patches(patches, np.stack([u, v], axis=1))[0]
-    pole = v == 1.0
-    assert pole.sum() > 5
-    assert degrees(normal[~pole], points[~pole]).max() < ROUNDING
-    assert degrees(normal[pole], points[pole]).max() < np.rad2deg(2.0 * BESIDE)
+    *place, normal = captured(device, patches, 12)
+    assert apart(place[0], normal, reduced_normals(sphere()[None], *place)) < REDUCED
+    points = evaluate_patches(patches, np.stack(place[1:], axis=1))[0]
+    assert degrees(normal, points).max() < ROUNDING
     view = View(Camera.look_at((3.0, 3.0, 4.0), (0.4, 0.4, 0.6), fov_y=20.0), 240, 150)
-    for level, most in ((8, 2.0), (32, 0.5)):
-        seen = drawn(device, patches, level, view)
-        error, far = normal_error(patches, view, seen), seen.v < 0.75
-        assert np.nanmax(error) < most, "next to the point undivided normals differ most in length: first order"
-        assert np.nanmax(error[far]) < 95.0 / level**2
-        # triangles that end in the point are as good as others
-        assert np.nanmax(error[seen.v > 1.0 - 1.0 / level]) < 0.2 * most + 0.1
+    for level in (8, 32):
+        error = normal_error(patches, view, drawn(device, patches, level, view))
+        assert np.nanmax(error) < 95.0 / level**2, "next to the point, too"
+
+
+def test_a_cusp_has_no_normal(device):
+    """Both tangents of a corner have one direction: rounding must not make another one of their product."""
+    u, v = np.meshgrid(np.arange(4.0), np.arange(4.0), indexing="ij")
+    patches = np.stack([u, v, 0.1 * u * v], axis=-1)[None]
+    patches[0, 0, 1], patches[0, 1, 0] = [0.9, 0.7, 0.3], [2.7, 2.1, 0.9]
+    _, u, v, normal = captured(device, patches, 8)
+    corner = (u == 0) & (v == 0)
+    assert corner.any()
+    assert np.array_equal(np.any(normal != 0, axis=1), ~corner)
 
 
 def test_normals_of_gaussian_products(device):
@@ -174,13 +252,29 @@ def test_normals_of_gaussian_products(device):
 def test_normals_of_gregory_patches(device, mesh):
     patches = convert(mesh, "gregory").patchwork.on_host(mesh.vertices)
     assert np.any(patches.twists[:, -1] != 0), "of a quad, and of a triangle"
-    patch, u, v, normal = at_vertices(device, patches, 7)
-    pinched = (u == 1.0) & np.any(patches.twists[patch, 4:] != 0, axis=(1, 2))
-    wanted = exact_normals(patches, patch, np.where(pinched, u - BESIDE, u), v)
+    patch, u, v, normal = captured(device, patches, 7)
+    inside = np.where(collapsed_sides(patches)[patch, 2], np.minimum(u, INSIDE), u)
+    wanted = undivided_normals(patches, patch, inside, v)
+    wanted /= np.where(collapsed_sides(patches)[patch, 2], 1.0 - inside, 1.0)[:, None]
     assert degrees(normal, wanted).max() < ROUNDING
+    assert apart(patch, normal, wanted) < GREGORY
     error = normal_error(patches, VIEW, drawn(device, patches, 64))
     assert np.nanmedian(error) < 0.005
     assert np.nanmax(error) < 0.3
+
+
+@pytest.mark.parametrize("sides", [(0,), (1,), (2,), (3,), (0, 2), (1, 3)])
+@pytest.mark.parametrize("n", [4, 5])
+def test_normals_of_gregory_patches_with_sides_that_are_points(device, rng, n, sides):
+    patches = GregoryPatches(with_points(rng, (n, n, 3), sides), rng.normal(size=(3, 4 if n == 4 else 6, 3)))
+    patch, u, v, normal = captured(device, patches, 7)
+    u_in, v_in = np.clip(u, 1 - INSIDE, INSIDE), np.clip(v, 1 - INSIDE, INSIDE)
+    wanted = undivided_normals(patches, patch, u_in, v_in)
+    for side in sides:
+        wanted /= np.stack([u_in, v_in, 1 - u_in, 1 - v_in])[side][:, None]
+    corner = ((u == 0) | (u == 1)) & ((v == 0) | (v == 1))  # there differences turn, and nothing has a limit
+    assert apart(patch[~corner], normal[~corner], wanted[~corner]) < GREGORY
+    assert np.all(np.isfinite(normal))
 
 
 @pytest.mark.parametrize("mesh", [torus(20.0), with_gaussians(disc(5, rng=np.random.default_rng(4)), "infer")])

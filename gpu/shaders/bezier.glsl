@@ -21,6 +21,14 @@ vec4 control_point(int number, int i, int j) {
 #endif
 }
 
+// side: 4 patch + edge, as edges are numbered: u=0, v=0, u=1, v=1
+vec4 side_control(int side, int k) {
+    int number = side / 4, edge = side % 4;
+    if (edge % 2 == 0)
+        return control_point(number, edge == 0 ? 0 : DEGREE_U, k);
+    return control_point(number, k, edge == 1 ? 0 : DEGREE_V);
+}
+
 #if TWISTS
 #include "gregory.glsl"
 #endif

@@ -15,38 +15,44 @@ float triangle_term(float a, float b, float c) {
     return 6.0 * a * a * b * c * (c - b) / (b + c);
 }
 
-// s t (s - t)/(2 (s + t)) and its derivatives by s and t: 0 at the corner, as they are wherever one goes there
+// Derivatives by s and t of s t (s - t)/(2 (s + t)), over t and over s: 0 at the corner, where they have no limit; then t
+// over s + t.
 vec3 turning(float s, float t) {
-    float both = s + t > 0.0 ? s + t : 1.0, y = t / both;
-    return vec3(0.5 * s * y * (s - t), 0.5 * t - t * y * y, 0.5 * s - s * y * (2.0 - y));
+    if (s + t == 0.0)
+        return vec3(0.0);
+    float y = t / (s + t);
+    return vec3(0.5 - y * y, 0.5 - y * (2.0 - y), y);
 }
 
+// Slopes below have s, t, 1 - s and 1 - t as factors: left has them in this order, 1 where one is divided out.
+
 // derivatives of quad_term by s and t
-vec2 quad_slopes(float s, float t) {
+vec2 quad_slopes(float s, float t, vec4 left) {
     float a = 1.0 - s, b = 1.0 - t;
     vec3 turned = turning(s, t);
-    return 9.0 * a * b * (a * b * turned.yz - 2.0 * turned.x * vec2(b, a));
+    return 9.0 * a * b * left.yx * left.wz * (vec2(a, b) * turned.xy - vec2(1.0 - turned.z, turned.z) * (s - t));
 }
 
 // derivatives by u and w of the term of a triangle's corner at u = w = 0
-vec2 triangle_slopes(float u, float w) {
+vec2 triangle_slopes(float u, float w, vec4 left) {
     float a = 1.0 - u, b = 1.0 - w;
     vec3 turned = turning(u, a * w);
-    vec2 slopes = vec2(turned.y - w * turned.z, a * turned.z);
-    return 12.0 * a * b * (a * b * slopes - 2.0 * turned.x * vec2(b, a));
+    float by_u = a * (a * turned.x - u * turned.y - (1.0 - turned.z) * (u - a * w));
+    float by_w = a * b * turned.y - turned.z * (u - a * w);
+    return 12.0 * a * b * left.yx * left.wz * vec2(by_u, by_w);
 }
 
-// on the sides too, where derivatives across them are not 0
-void add_twist_slopes(int number, vec2 at, inout vec3 by_u, inout vec3 by_v) {
+// On the sides too, where derivatives across them are not 0. left: at and 1 - at, 1 where slopes are divided by it.
+void add_twist_slopes(int number, vec2 at, vec4 left, inout vec3 by_u, inout vec3 by_v) {
     vec2 back = 1.0 - at;
     vec2 slopes[TWISTS];
-    slopes[0] = quad_slopes(at.x, at.y);
-    slopes[1] = quad_slopes(at.y, back.x).yx * vec2(-1.0, 1.0);
-    slopes[2] = -quad_slopes(back.x, back.y);
-    slopes[3] = quad_slopes(back.y, at.x).yx * vec2(1.0, -1.0);
+    slopes[0] = quad_slopes(at.x, at.y, left);
+    slopes[1] = quad_slopes(at.y, back.x, left.yzwx).yx * vec2(-1.0, 1.0);
+    slopes[2] = -quad_slopes(back.x, back.y, left.zwxy);
+    slopes[3] = quad_slopes(back.y, at.x, left.wxyz).yx * vec2(1.0, -1.0);
 #if TWISTS > 4
-    slopes[4] = triangle_slopes(at.x, at.y);
-    slopes[5] = triangle_slopes(at.x, back.y) * vec2(-1.0, 1.0);
+    slopes[4] = triangle_slopes(at.x, at.y, left);
+    slopes[5] = triangle_slopes(at.x, back.y, left.xwzy) * vec2(-1.0, 1.0);
 #endif
     for (int k = 0; k < TWISTS; ++k) {
         by_u += slopes[k].x * twist(number, k);

@@ -84,7 +84,7 @@ vec4 cubic_slopes(float t) {
 
 // From Q mu = h follows Q mu_u = h_u - Q_u mu. Of two such vectors a and b Q^-1 a x Q^-1 b is Q (a x b)/det Q: nothing
 // else has to be solved. det Q, which is positive, is left in it, as weights are (normal.glsl).
-vec3 patch_normal(int number, vec2 at, vec2 step) {
+vec3 patch_normal(int number, vec2 at) {
     Place place = place_in_nets(number, at);
     vec4 u = cubic(place.at.x), v = cubic(place.at.y);
     vec4 low_u = cubic_slopes(place.at.x), low_v = cubic_slopes(place.at.y);

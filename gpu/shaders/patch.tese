@@ -12,7 +12,9 @@ layout(quads, SPACING, ccw) in;
 #else
 #define drawn_point patch_point
 #endif
-#if NORMALS && !NESTED
+#if TANGENT_NETS
+#include "tangents.glsl"
+#elif NORMALS && !NESTED
 #include "normal.glsl"
 #endif
 
@@ -36,6 +38,6 @@ void main() {
     precise vec4 position = to_clip * drawn_point(tessellated_patch, parameter.x, parameter.y);
     gl_Position = position;
 #if NORMALS
-    undivided = patch_normal(tessellated_patch, parameter, 1.0 / vec2(inner_levels * piece.zw));
+    undivided = patch_normal(tessellated_patch, parameter);
 #endif
 }

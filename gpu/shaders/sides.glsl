@@ -8,13 +8,6 @@ layout(std430, binding = 4) readonly buffer Sides {
     Side sides[];
 };
 
-vec4 owner_control(int owner, int k) {
-    int number = owner / 4, edge = owner % 4;
-    if (edge % 2 == 0)
-        return control_point(number, edge == 0 ? 0 : DEGREE_U, k);
-    return control_point(number, k, edge == 1 ? 0 : DEGREE_V);
-}
-
 // t: along the patch's own edge. Places of vertices are multiples of 2^-24, so 1 - t is exact, and as in patch_point
 // reversing the curve exchanges operands and nothing else.
 vec4 side_point(int number, int edge, float t) {
@@ -23,13 +16,13 @@ vec4 side_point(int number, int edge, float t) {
     int degree = side.owner % 2 == 0 ? DEGREE_V : DEGREE_U;
     precise vec4 sum = vec4(0.0);
     for (int k = 0; 2 * k < degree; ++k) {
-        precise vec4 first = bernstein(degree, k, at) * owner_control(side.owner, k);
-        precise vec4 last = bernstein(degree, degree - k, at) * owner_control(side.owner, degree - k);
+        precise vec4 first = bernstein(degree, k, at) * side_control(side.owner, k);
+        precise vec4 last = bernstein(degree, degree - k, at) * side_control(side.owner, degree - k);
         precise vec4 both = first + last;
         sum = sum + both;
     }
     if (degree % 2 == 0) {
-        precise vec4 middle = bernstein(degree, degree / 2, at) * owner_control(side.owner, degree / 2);
+        precise vec4 middle = bernstein(degree, degree / 2, at) * side_control(side.owner, degree / 2);
         sum = sum + middle;
     }
 #if COORDINATES == 3

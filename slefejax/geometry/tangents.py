@@ -38,10 +38,19 @@ def with_normals(control: Any, u: Values, v: Values) -> tuple[Values, Values]:
     [0.0, 0.0, 1.0]
     """
     point, along_u, along_v = tangents(control, u, v)
+    return point, unit_normals(along_u, along_v)
+
+
+def unit_normals(along_u: Values, along_v: Values) -> Values:
+    """Of tangents ``(3, ...)``; 0 where they span no plane.
+
+    >>> unit_normals(jnp.array([2.0, 0.0, 0.0]), jnp.array([1.0, 1.0, 0.0])).tolist()
+    [0.0, 0.0, 1.0]
+    """
     normal = jnp.cross(along_u, along_v, axis=0)
     square = jnp.sum(normal**2, axis=0)
     plane = square > _FLAT**2 * jnp.sum(along_u**2, axis=0) * jnp.sum(along_v**2, axis=0)
-    return point, jnp.where(plane, normal / jnp.sqrt(jnp.where(plane, square, 1.0)), 0.0)
+    return jnp.where(plane, normal / jnp.sqrt(jnp.where(plane, square, 1.0)), 0.0)
 
 
 class Foot(NamedTuple):

@@ -16,7 +16,8 @@ from jaxtyping import Float, Int
 from slefejax.arguments import Patches, check_concrete, check_patches, on_host
 from slefejax.errors import InputError
 from slefejax.geometry.evaluate import as_control, evaluate
-from slefejax.geometry.tangents import with_normals
+from slefejax.geometry.shading import TangentNets, kind_of_normals, tangent_nets
+from slefejax.geometry.tangents import unit_normals, with_normals
 from slefejax.geometry.view import View
 from slefejax.lanes import layout, loops, passes
 from slefejax.measure.surface import of_patches, undivided
@@ -84,20 +85,25 @@ def slip(seen: Any) -> Float[np.ndarray, "height width"]:
     return np.where(seen.patch >= 0, np.max(np.abs(seen.drawn), axis=-1).astype(np.float64), np.nan)
 
 
-def normal_error(patches: Patches, view: View, seen: Any) -> Float[np.ndarray, "height width"]:
-    """The angle between the drawn normal of every pixel and the exact surface's at (patch, u, v), in degrees, float64.
+def normal_error(
+    patches: Patches, view: View, seen: Any, normals: str = "surface", tangents: Any = None
+) -> Float[np.ndarray, "height width"]:
+    """The angle between the drawn normal of every pixel and the exact one at (patch, u, v), in degrees, float64.
 
-    patches : as ``pixel_error`` takes them
-    view    : whose picture it is
-    seen    : a ``slefejax.gpu.GBuffer`` of a ``Renderer(..., normals=True)``, or anything with ``.u``, ``.v``,
-              ``.patch`` and ``.normal``
-    returns : 0 to 180: both normals are p_u x p_v, whatever side is seen; NaN where nothing is, where no normal was
-              drawn, and where the surface has no tangent plane
+    patches  : as ``pixel_error`` takes them
+    view     : whose picture it is
+    seen     : a ``slefejax.gpu.GBuffer`` of a ``Renderer(..., normals=True)``, or anything with ``.u``, ``.v``,
+               ``.patch`` and ``.normal``
+    normals  : which are exact: ``"surface"``, p_u x p_v, or ``"tangents"``, the cross product of tangent patches
+    tangents : these, as ``Renderer`` takes them
+    returns  : 0 to 180, whatever side is seen; NaN where nothing is, where no normal was drawn, and where tangents span
+               no plane
 
-    Raises InputError for a picture without normals, or of another size.
+    Raises InputError for a picture without normals, or of another size, and for tangents as ``Renderer`` does.
     """
-    check_concrete("normal_error", patches, view, seen.u, seen.v, seen.patch)
-    patches = check_patches(patches, gregory=True)
+    check_concrete("normal_error", patches, view, seen.u, seen.v, seen.patch, tangents)
+    own: Any = on_host(check_patches(patches, gregory=True))
+    nets = tangent_nets(own, kind_of_normals(normals), tangents)
     if getattr(seen, "normal", None) is None:
         raise InputError("the picture has no normals: draw it with Renderer(patches, normals=True)")
     if seen.patch.shape != (view.height, view.width):
@@ -105,7 +111,8 @@ def normal_error(patches: Patches, view: View, seen: Any) -> Float[np.ndarray, "
     at = np.nonzero(seen.patch >= 0)
     error = np.full(seen.patch.shape, np.nan)
     if at[0].size:
-        exact = _normals(patches, seen.patch[at], seen.u[at], seen.v[at])
+        control = as_control(own) if nets is None else nets
+        exact = _normals(control, len(own), seen.patch[at], seen.u[at], seen.v[at])
         drawn = seen.normal[at].astype(np.float64)
         sine = np.linalg.norm(np.cross(exact, drawn), axis=1)
         angle = np.rad2deg(np.arctan2(sine, np.sum(exact * drawn, axis=1)))
@@ -114,19 +121,20 @@ def normal_error(patches: Patches, view: View, seen: Any) -> Float[np.ndarray, "
 
 
 def _normals(
-    patches: Any,
+    control: Any,
+    count: int,
     patch: Int[np.ndarray, "points"],
     u: Float[np.ndarray, "points"],
     v: Float[np.ndarray, "points"],
 ) -> Float[np.ndarray, "points 3"]:
-    """Unit normals of points of patches, float64; 0 where there is no tangent plane.
+    """Unit normals of so many patches, or of tangent patches, at points; float64, 0 where there is no tangent plane.
 
     On sides, which may be points, they are those of a float32's rounding further in: as good as their limits.
     """
-    _check_numbers(patches, patch)
+    _check_numbers(count, patch)
     u, v = (np.clip(np.asarray(x, np.float64), _BESIDE, 1.0 - _BESIDE) for x in (u, v))
     with jax.enable_x64(True):
-        control = jax.tree.map(lambda x: np.moveaxis(np.asarray(x, np.float64), 0, -1), as_control(on_host(patches)))
+        control = jax.tree.map(lambda x: np.moveaxis(np.asarray(x, np.float64), 0, -1), control)
         samples = np.column_stack([u, v, patch])
         return layout.through(lambda packed: _evaluate_normals(packed, control), samples)
 
@@ -142,22 +150,25 @@ def surface_on_screen(
 
     NaN for a point that is not in front of the camera (W <= 0). Raises InputError for a patch number that is not there.
     """
-    _check_numbers(patches, patch)
+    _check_numbers(len(patches), patch)
     with jax.enable_x64(True):
         control = undivided(patches, view)
         samples = np.column_stack([u, v, patch]).astype(np.float64)
         return layout.through(lambda packed: _evaluate(packed, control), samples)
 
 
-def _check_numbers(patches: Any, patch: Int[np.ndarray, "points"]) -> None:
-    if patch.size and not (patch.min() >= 0 and patch.max() < len(patches)):
-        raise InputError(f"patch numbers must be from 0 to {len(patches) - 1}, not {patch.min()} to {patch.max()}")
+def _check_numbers(count: int, patch: Int[np.ndarray, "points"]) -> None:
+    if patch.size and not (patch.min() >= 0 and patch.max() < count):
+        raise InputError(f"patch numbers must be from 0 to {count - 1}, not {patch.min()} to {patch.max()}")
 
 
 @passes.as_pass()
 def _evaluate_normals(samples: Float[Any, "chunks 3 lanes"], control: Any) -> Any:
     def normals(chunk: Any) -> Any:
-        return with_normals(of_patches(control, chunk[2].astype(jnp.int32)), chunk[0], chunk[1])[1]
+        own = of_patches(control, chunk[2].astype(jnp.int32))
+        if isinstance(own, TangentNets):
+            return unit_normals(*(evaluate(net, chunk[0], chunk[1]) for net in own))
+        return with_normals(own, chunk[0], chunk[1])[1]
 
     return loops.over_chunks(normals, samples)
 
