@@ -15,6 +15,7 @@ from slefejax.geometry.gregory import GregoryPatches
 from slefejax.geometry.normals import collapsed_sides, crossed, without_collapsed
 from slefejax.geometry.shading import TangentNets, still_sides
 from slefejax.gpu.renderer import Renderer
+from slefejax.measure.jumps import normal_jumps
 from tests.meshes import cube, disc, grid, triangle_fan
 from tests.test_gaussian import torus
 from tests.test_normals import REDUCED, VIEW, apart, degrees, levels, with_points
@@ -89,6 +90,7 @@ def test_normals_of_tangents_agree_along_edges(device, mesh):
     assert apart(vertices(found)[0], vertices(found)[3], tangent_normals(tangents, *vertices(found)[:3])) < REDUCED
     assert jumps(found, 8, sides).max() < JUMP
     assert jumps(captured(device, patches, 8, None), 8, sides).max() > 1.0
+    assert normal_jumps(patches, sides, tangents).max() < 1e-9, "exactly"
 
 
 @pytest.mark.parametrize("name", ["bigguy", "spot_control_mesh", "monsterfrog"])
