@@ -57,6 +57,21 @@ def test_inspect_counts_and_draws(device, capsys, tmp_path):
 
 
 @pytest.mark.gl
+def test_inspect_draws_reflections(device, capsys, tmp_path):
+    write(tmp_path, "box.obj", CUBE)
+    result = run_json(capsys, "inspect", "box.obj", *SMALL, "--reflections")
+    assert set(os.listdir(result["out"])) == TABLES | {"inspect.png", "reflections.png", "run.json"}
+    shown = imread(f"{result['out']}/reflections.png")[..., :3]
+    width = shown.shape[1] // 2
+    surface, tangents = shown[-width // 2 :, :width], shown[-width // 2 :, -width:]
+    assert np.mean(np.abs(surface - tangents)) > 0.02, "of a cube they are others everywhere"
+    away = run_json(capsys, "inspect", "box.obj", *SMALL, "--reflections", "--target", "9", "9", "9")
+    assert "no reflections: nothing of the scene is on the screen" in away["notes"]
+    assert main(["inspect", "teapot", "--reflections"]) == 2
+    assert "teapot is no control mesh: only those have tangent patches" in capsys.readouterr().err
+
+
+@pytest.mark.gl
 def test_inspect_of_patches(device, capsys, tmp_path, teapot):
     """Patch lists: the teapot's, once as a .bv file with a polyhedron beside."""
     points = [" ".join(map(str, p)) for p in teapot.patches()[:2].reshape(2, 16, 3).reshape(-1, 3).tolist()]
@@ -102,8 +117,8 @@ def test_inspect_without_opengl(capsys, tmp_path, monkeypatch):
 
     monkeypatch.setattr(inspecting, "open_device", none)
     write(tmp_path, "box.obj", CUBE)
-    result = run_json(capsys, "inspect", "box.obj", *SMALL)
-    assert "no picture: no device here" in result["notes"]
+    result = run_json(capsys, "inspect", "box.obj", *SMALL, "--reflections")
+    assert {"no picture: no device here", "no reflections: no device here"} <= set(result["notes"])
     assert result["rows"][0]["patches"] == 6
     assert "inspect.png" not in os.listdir(result["out"])
 

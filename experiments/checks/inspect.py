@@ -17,6 +17,7 @@ from slefejax.conversion.patchwork import KINDS
 from slefejax.errors import InputError, NoOpenGLError
 from slefejax.experiments.bench.savings import METHODS, savings
 from slefejax.experiments.checks.limit import distance_row
+from slefejax.experiments.checks.reflected import reflected
 from slefejax.experiments.moves.outlines import outlines
 from slefejax.experiments.options import (
     LoadOptions,
@@ -30,6 +31,7 @@ from slefejax.experiments.report import Report
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.experiments.studies.measures import slips
 from slefejax.figures.checks.inspect import Panels, write_inspect_figure
+from slefejax.figures.checks.limit import Pictures, write_normal_figure
 from slefejax.gpu import Renderer, open_device
 from slefejax.io.content import Y_UP, Z_UP, Content
 from slefejax.loading import BUILT_IN, read
@@ -52,6 +54,8 @@ class Inspect:
     """A file (.obj, .usd…, .glb, …: the README lists them), or walker, teapot, twisted-quad, steep-patch."""
     tolerance: float = 0.5
     """Error in pixels for the factors that the picture shows."""
+    reflections: bool = False
+    """Draw stripes that normals of the surface reflect, and those of tangent patches beside them: reflections.png."""
     savings: bool = False
     """Measure what leaving out saves: the passes with what the scene has no need of put in."""
     loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
@@ -72,12 +76,15 @@ class Inspect:
         view = self.camera.view(scene)
         if scene.conversion is not None and np.prod(scene.patches().shape[:3]) <= _MOST_COMPARED:
             row |= distance_row(scene, view)
+        if self.reflections:
+            scene.tangents()  # a scene without is refused before anything is drawn
         arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
         with Run("inspect", arguments, self.output.out, {"scene": digest(scene.patches().tobytes())}) as run:
             notes = (*scene.notes, *(f"not needed: {what}" for what in scene.left_out()))
             found, said = _picture(scene, view, self.tolerance, run)
             row |= found
             notes += _unshared(row) + said
+            notes += _reflections(scene, view, self.tolerance, run) if self.reflections else ()
             saved = savings(scene, view) if self.savings else []
             left = applicable(METHODS, scene)[1] if self.savings else ""
             notes += (left,) * bool(left)
@@ -227,6 +234,21 @@ def _picture(scene: Scene, view: View, tolerance: float, run: Run) -> tuple[Row,
     panels = Panels(outlines(scene, view).polygons, seen.patch, painted, KINDS, factor, error)
     write_inspect_figure(run.file("inspect.png"), panels, _title(scene), tolerance)
     return row, notes
+
+
+def _reflections(scene: Scene, view: View, tolerance: float, run: Run) -> tuple[str, ...]:
+    """Draw them, or say why not."""
+    try:
+        found = reflected(scene, view, tolerance, open_device())
+    except NoOpenGLError as error:
+        return (f"no reflections: {error}",)
+    if found is None:
+        return ("no reflections: nothing of the scene is on the screen",)
+    kinds = ("the surface, $P_u \\times P_v$", "tangent patches, $T_u \\times T_v$")
+    said = [f"normals of {kind}\njump by up to {jump:.2g}°" for kind, jump in zip(kinds, found.jumps, strict=True)]
+    whole = Pictures(found.whole, said, scene.name)
+    write_normal_figure(run.file("reflections.png"), whole, found.near, found.frame)
+    return ()
 
 
 def _title(scene: Scene) -> str:

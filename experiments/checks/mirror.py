@@ -35,15 +35,23 @@ def reflections(scenes: list[Scene]) -> Iterator[np.ndarray]:
         return
 
     def paint(_: np.ndarray, __: np.ndarray, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        towards = camera.eye - points
-        towards = towards / np.linalg.norm(towards, axis=-1, keepdims=True)
-        along = 2.0 * np.sum(normals * towards, axis=-1, keepdims=True) * normals - towards
-        across = np.cross(up, normal)
-        angle = np.arctan2(along @ across, along @ normal)
-        return 0.5 + 0.5 * np.clip(4.0 * np.sin(2.0 * _STRIPES * angle), -1.0, 1.0)
+        return stripes(camera.eye - points, normals, up, normal)
 
     yield from (splatted(scene.patches(), view, paint) for scene in scenes)
     yield splatted(first.conversion.limit.net, view, paint)
+
+
+def stripes(towards: np.ndarray, normals: np.ndarray, up: np.ndarray, ahead: np.ndarray) -> np.ndarray:
+    """0 to 1: what of stripes around the axis ``up`` a camera sees in surfaces.
+
+    towards : from each point to the camera, ``(..., 3)``
+    normals : unit vectors ``(..., 3)``, to either side
+    ahead   : the direction that is in the middle of what is reflected
+    """
+    towards = towards / np.linalg.norm(towards, axis=-1, keepdims=True)
+    along = 2.0 * np.sum(normals * towards, axis=-1, keepdims=True) * normals - towards
+    angle = np.arctan2(along @ np.cross(up, ahead), along @ ahead)
+    return 0.5 + 0.5 * np.clip(4.0 * np.sin(2.0 * _STRIPES * angle), -1.0, 1.0)
 
 
 def _close_up(scene: Scene, side: np.ndarray) -> tuple[Camera, np.ndarray, np.ndarray]:

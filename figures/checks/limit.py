@@ -8,9 +8,11 @@ from typing import Any, NamedTuple
 import matplotlib as mpl
 import numpy as np
 from matplotlib.colors import LogNorm
+from matplotlib.patches import Polygon
 
 from slefejax.figures.style import BACKGROUND, FACTOR_MAP, SETTINGS, new_figure, occupied, save
 
+_MARKED = {"edgecolor": "#d55e00", "linewidth": 2.0}  # [OI]
 _DECADES = 3.0  # of the colours: distances below a thousandth of the largest have the darkest
 
 
@@ -45,9 +47,35 @@ def write_reflection_figure(path: Path, pictures: Pictures) -> None:
     with mpl.rc_context({**SETTINGS, "axes.grid": False}):
         axes, figure, crop = _panels(pictures)
         for own, picture in zip(axes, pictures.values, strict=True):
-            own.imshow(np.where(np.isnan(picture), 1.0, 0.15 + 0.75 * picture)[crop], cmap="gray", vmin=0.0, vmax=1.0)
+            _stripes(own, picture[crop])
         figure.suptitle(f"{pictures.scene}{_break(axes)}stripes reflected where normals of the first patches jump most")
         save(figure, path)
+
+
+def write_normal_figure(path: Path, whole: Pictures, near: list[np.ndarray], frame: np.ndarray) -> None:
+    """Stripes of a reflected environment as drawn normals show them, a column a kind of normals.
+
+    near  : what is shown below, of the part of the whole that has these corners
+    frame : ``(4, 2)``, pixels from the upper left corner
+    """
+    crop = occupied(~np.isnan(whole.values[0]))
+    height, width = whole.values[0][crop].shape
+    with mpl.rc_context({**SETTINGS, "axes.grid": False}):
+        figure = new_figure(10.5, 6.4 + 5.0 * height / width)
+        grid: Any = figure.subplots(2, 2, height_ratios=[height / width, 1.0])
+        for column, (title, picture, part) in enumerate(zip(whole.titles, whole.values, near, strict=True)):
+            _stripes(grid[0, column], picture[crop])
+            grid[0, column].set_title(title)
+            grid[0, column].add_patch(Polygon(frame - [crop[1].start, crop[0].start], fill=False, **_MARKED))
+            _stripes(grid[1, column], part)
+        figure.suptitle(f"{whole.scene}: stripes reflected by drawn normals; below, from near, the part in the frame")
+        save(figure, path)
+
+
+def _stripes(axes: Any, picture: np.ndarray) -> None:
+    """Background is white."""
+    axes.imshow(np.where(np.isnan(picture), 1.0, 0.15 + 0.75 * picture), cmap="gray", vmin=0.0, vmax=1.0)
+    axes.set_axis_off()
 
 
 def _break(axes: Any) -> str:

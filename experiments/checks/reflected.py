@@ -1,0 +1,100 @@
+"""What drawn normals reflect: those of the surface, and those of tangent patches."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import uniform_filter
+
+from slefejax import Scene, View, tessellation_factors
+from slefejax.experiments.checks.mirror import stripes
+from slefejax.geometry.view import homogeneous
+from slefejax.gpu import Device, GBuffer, Renderer
+from slefejax.measure.jumps import normal_jumps
+
+_CLOSE = (720, 720)  # pixels
+_SHARE = 0.2  # of the picture's height, what is shown from near
+
+
+class Reflected(NamedTuple):
+    """Stripes that are reflected by normals of the surface, and by those of tangent patches.
+
+    whole : both pictures ``(height, width)``, 0 to 1, row 0 at the top, NaN for background
+    near  : both from the same eye, where they differ most
+    frame : corners of that part of the whole, ``(4, 2)``, in pixels from its upper left corner
+    jumps : the largest of both kinds across edges that should be smooth, degrees
+    """
+
+    whole: list[np.ndarray]
+    near: list[np.ndarray]
+    frame: np.ndarray
+    jumps: list[float]
+
+
+def reflected(scene: Scene, view: View, tolerance: float, device: Device) -> Reflected | None:
+    """As they are drawn at certified levels; None where nothing of the scene is seen.
+
+    Raises InputError for a scene without tangent patches.
+    """
+    tangents = scene.tangents()
+    renderers = (
+        Renderer(scene.patches(), device, normals="surface"),
+        Renderer(scene.patches(), device, normals="tangents", tangents=tangents),
+    )
+
+    def pictures(own: View) -> list[np.ndarray]:
+        factors = tessellation_factors(scene.patches(), own, tolerance=tolerance, edge_numbers=scene.edge_numbers)
+        return [_picture(each.draw(own, factors.inner, factors.edges), own, view) for each in renderers]
+
+    whole = pictures(view)
+    if np.isnan(whole[0]).all():
+        return None
+    close = _close_view(view, np.abs(whole[0] - whole[1])[::-1])
+    near = pictures(close)
+    return Reflected(whole, near, _frame(view, close), [_largest_jump(scene, own) for own in (None, tangents)])
+
+
+def _largest_jump(scene: Scene, tangents: object) -> float:
+    assert scene.conversion is not None
+    return float(np.max(normal_jumps(scene.patches(), scene.conversion.smooth_sides, tangents), initial=0.0))
+
+
+def _picture(seen: GBuffer, own: View, whole: View) -> np.ndarray:
+    """Of an environment that stands upright in the whole picture, its middle behind the camera."""
+    assert seen.normal is not None
+    camera = whole.camera
+    rows, columns = np.indices(seen.patch.shape) + 0.5
+    towards = camera.eye - _in_space(own, np.stack([columns, rows], axis=-1))
+    right = _unit(np.cross(camera.up, camera.eye - camera.target))
+    up = _unit(np.asarray(camera.up))
+    return stripes(towards, seen.normal.astype(float), up, np.cross(right, up))[::-1]
+
+
+def _close_view(view: View, difference: np.ndarray) -> View:
+    """From the same eye, the part of the picture with the largest mean of differences, row 0 at the bottom."""
+    size = round(_SHARE * view.height)
+    mean = uniform_filter(np.nan_to_num(difference), size, mode="constant")
+    row, column = np.unravel_index(np.argmax(mean), mean.shape)
+    target = _in_space(view, np.array([column, row]) + 0.5)
+    half = np.tan(np.deg2rad(0.5 * view.camera.extent))
+    return View(replace(view.camera, target=target, extent=np.rad2deg(2.0 * np.arctan(_SHARE * half))), *_CLOSE)
+
+
+def _frame(whole: View, part: View) -> np.ndarray:
+    width, height = _CLOSE
+    corners = _in_space(part, np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]]))
+    x, y, _, w = (homogeneous(corners) @ np.asarray(whole.world_to_screen).T).T
+    return np.stack([x / w, whole.height - y / w], axis=1)
+
+
+def _in_space(view: View, pixels: np.ndarray) -> np.ndarray:
+    """Points of the near plane, of pixels from the lower left corner."""
+    matrix = np.linalg.inv(np.asarray(view.world_to_screen))
+    found = homogeneous(np.concatenate([pixels, 0.0 * pixels[..., :1]], axis=-1)) @ matrix.T
+    return found[..., :3] / found[..., 3:]
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / np.linalg.norm(vector)
