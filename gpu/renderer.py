@@ -11,7 +11,7 @@ from jaxtyping import Float, Int, Real
 
 from slefejax.arguments import real_numbers, whole_numbers
 from slefejax.errors import InputError, OpenGLError
-from slefejax.geometry.shading import kind_of_normals
+from slefejax.geometry.normals import kind_of_normals
 from slefejax.geometry.view import View
 from slefejax.gpu.context import Device, open_device
 from slefejax.gpu.programs import Options, capture_program, draw_program

@@ -13,8 +13,7 @@ from slefejax.arguments import Patches, check_patches, on_host
 from slefejax.errors import InputError
 from slefejax.geometry.gregory import GregoryPatches
 from slefejax.geometry.nested import NestedNets
-from slefejax.geometry.normals import collapsed_sides
-from slefejax.geometry.shading import TangentNets, still_sides, tangent_nets
+from slefejax.geometry.normals import TangentNets, collapsed_sides, still_sides, tangent_nets
 from slefejax.geometry.view import LARGEST
 from slefejax.gpu.programs import Shape
 from slefejax.tessellator.edges import Sides
@@ -65,7 +64,7 @@ def sent(patches: Any, before: Sent | None = None, normals: str | None = None, t
     """Patches as they are sent, in float32 relative to the box around them, and what normals need beside them.
 
     before   : what they were, whose box is kept as long as they fill most of it: what did not move then stays the same
-    normals  : of which kind, ``slefejax.geometry.shading.NORMALS``; None: none
+    normals  : of which kind, ``slefejax.geometry.normals.NORMALS``; None: none
     tangents : tangent patches, for normals of theirs
 
     Raises InputError for control points that are not finite or too large, for more patches than can be numbered, and
@@ -79,9 +78,9 @@ def sent(patches: Any, before: Sent | None = None, normals: str | None = None, t
     if normals is None:
         return found
     if nets is None:
-        return replace(found, collapsed=_as_bits(collapsed_sides(own)))
+        return replace(found, collapsed=_as_bits(np.asarray(collapsed_sides(own))))
     scale = found.to_world[0, 0]
-    return replace(found, collapsed=_as_bits(still_sides(nets)), tangents=_tangent_records(nets, scale))
+    return replace(found, collapsed=_as_bits(np.asarray(still_sides(nets))), tangents=_tangent_records(nets, scale))
 
 
 def _of_patches(given: Any, before: Sent | None) -> Sent:

@@ -152,6 +152,24 @@ def check_positive(name: str, value: Any) -> None:
         raise InputError(f"{name} must be a positive number, not {value!r}", options=(name,))
 
 
+def check_degrees(name: str, value: Any) -> None:
+    """InputError unless a concrete value is a number between 0 and 90 degrees, without these.
+
+    >>> check_degrees("normal_tolerance", 200)
+    Traceback (most recent call last):
+        ...
+    slefejax.errors.InputError: normal_tolerance must be more than 0 and less than 90 degrees, not 200
+    """
+    if isinstance(value, Tracer):
+        return
+    try:
+        fine = 0.0 < float(value) < 90.0
+    except (TypeError, ValueError):
+        fine = False
+    if not fine or isinstance(value, (bool, str)):
+        raise InputError(f"{name} must be more than 0 and less than 90 degrees, not {value!r}", options=(name,))
+
+
 def check_not_negative(name: str, value: Any) -> None:
     """InputError unless the number is finite and at least 0.
 

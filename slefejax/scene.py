@@ -153,11 +153,14 @@ class Scene:
             left.append("triangle stencils: patches come from quads only")
         return tuple(left)
 
-    def tangents(self) -> tuple[Any, Any]:
-        """Tangent patches at rest (``Conversion.tangents``). Raises InputError for a scene without a control mesh."""
+    def tangents(self, pose: Any = None, deform: Deformation | None = None) -> tuple[Any, Any]:
+        """Tangent patches in a pose (``Conversion.tangents``); pose and deform as in ``vertices``.
+
+        Raises InputError for a scene without a control mesh.
+        """
         if self.conversion is None:
             raise InputError(f"{self.name} is no control mesh: only those have tangent patches")
-        return self.conversion.tangents(self.vertices())
+        return self.conversion.tangents(self.vertices(pose, deform))
 
     def default_camera(self, aspect: float = 1.6, cover: Number | None = None, up: Vector | None = None) -> Camera:
         """The scene's own camera, or one that frames it in a picture of that width over height.

@@ -22,6 +22,7 @@ from jax.core import Tracer
 from slefejax.arguments import check_weights
 from slefejax.conversion.gaussian.products import Products
 from slefejax.errors import InputError
+from slefejax.geometry.normals import kind_of_normals
 from slefejax.geometry.packed import Packed, chunks_of, pack
 from slefejax.geometry.projection import Projection
 from slefejax.geometry.view import View, check_view
@@ -31,7 +32,7 @@ from slefejax.model.rig import Deformation, Pose, check_time
 from slefejax.model.skinning import Influences
 from slefejax.model.stencils import StencilTable
 from slefejax.predict.estimate import boxes_pass
-from slefejax.predict.factors import Factors, predicted, prepared_by
+from slefejax.predict.factors import Factors, predicted, prepared_by, shaded
 from slefejax.predict.kernel import Kernel, Prepared, view_pass
 from slefejax.predict.methods import Options, Request, Slefe
 from slefejax.scene import Scene
@@ -86,6 +87,7 @@ class Session:
         check_weights(scene.control)
         self.scene = scene
         self.request = Request.of(options, scene.control.shape[3])
+        self._normals = kind_of_normals(options.get("normals", "surface"))
         if deform is not None and not callable(deform):
             raise InputError(f"deform must be a function such as slefejax.linear_blend, not {deform!r}")
         if dtype is not None and str(getattr(dtype, "__name__", dtype)) not in ("float32", "float64"):
@@ -179,7 +181,7 @@ class Session:
         if self.moves:
             with self.scene.conversion.precision():  # type: ignore[union-attr]
                 found[PARTS[0]], chunks = jax.make_jaxpr(self._move, return_shape=True)(self._tables, at)
-        method, tolerances = self.request
+        method, tolerances, degrees = self.request
         if not isinstance(method, Kernel):
             return found
         seen = (chunks, None, None)
@@ -190,11 +192,17 @@ class Session:
             seen = (chunks if chunks.shape[3] == 4 else None, *boxes)
         projection = Projection.of(view, self._dtype)
         found["view"] = jax.make_jaxpr(view_pass)(seen, projection, *method.numbers(tolerances, self._dtype))
+        if degrees is not None:
+            prepared = shaded(
+                self.request, Prepared(pack(self.patches)), self._normals or "surface", self._tangents(pose)
+            )
+            assert prepared.shading is not None
+            found["normals"] = prepared.shading.program()
         return found
 
     def memory(self) -> dict[str, int]:
         """Bytes of what is kept between calls: tables, control points and slefe boxes, as far as they are there."""
-        packed, made = self._prepared or (None, None)
+        packed, made = (None, None) if self._prepared is None else self._prepared[:2]
         kept = {"tables": self._tables, "control points": packed, "slefe boxes": made}
         return {name: sum(x.nbytes for x in jax.tree.leaves(part)) for name, part in kept.items()}
 
@@ -247,10 +255,14 @@ class Session:
         prepared = self._timed(PARTS[1], lambda: prepared_by(self.request.method, packed))
         if prepared.made is None:
             self.seconds[PARTS[1]] = 0.0
-        self._prepared = prepared
+        self._prepared = shaded(self.request, prepared, self._normals or "surface", self._tangents(pose))
         self._at = _snapshot(at)
         self._patches = self._seen = None
         return True
+
+    def _tangents(self, pose: Any) -> Any:
+        """Tangent patches, where normals are theirs."""
+        return self.scene.tangents(pose, self._deform) if self._normals == "tangents" else None
 
     def _moved(self, at: Any) -> Any:
         """What the pose pass makes, in the precision that it needs."""

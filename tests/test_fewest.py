@@ -9,7 +9,7 @@ import pytest
 
 from slefejax import InputError, cameras_around, load, tessellation_factors, triangle_error, triangulate
 from slefejax.geometry.view import View
-from slefejax.predict.fewest import lowered_levels
+from slefejax.predict.drawn.fewest import lowered_levels
 from slefejax.tessellator.levels import triangle_counts
 from slefejax.tessellator.rings import direct3d11
 from tests.test_drawn import flat_on, quadratics

@@ -12,8 +12,7 @@ from slefejax import Camera, InputError, View, convert, load, normal_error
 from slefejax.conversion.gaussian.published import published
 from slefejax.geometry.bezier import derivative, evaluate_patch
 from slefejax.geometry.gregory import GregoryPatches
-from slefejax.geometry.normals import collapsed_sides, crossed, without_collapsed
-from slefejax.geometry.shading import TangentNets, still_sides
+from slefejax.geometry.normals import TangentNets, collapsed_sides, crossed, still_sides, without_collapsed
 from slefejax.gpu.renderer import Renderer
 from slefejax.measure.jumps import normal_jumps
 from tests.meshes import cube, disc, grid, triangle_fan

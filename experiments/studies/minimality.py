@@ -189,7 +189,7 @@ def _estimate_beside(look: Any) -> Row:
 
 def _title(scene: Scene, view: View, factors: Factors) -> str:
     assert factors.request is not None
-    total, (method, tolerances) = float(np.sum(factors.factor)), factors.request
+    total, (method, tolerances, _) = float(np.sum(factors.factor)), factors.request
     return (
         f"{scene.name}: {len(scene.patches())} patches at {view.width}x{view.height},"
         f" method {label_of(method)}, tolerance {tolerances.pixels:g} px, sum of factors {total:.3f}"

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from slefejax.arguments import Patches, check_concrete, check_patches, on_host
 from slefejax.errors import InputError
 from slefejax.geometry.evaluate import as_control, evaluate
-from slefejax.geometry.shading import TangentNets, kind_of_normals, tangent_nets
+from slefejax.geometry.normals import TangentNets, kind_of_normals, tangent_nets
 from slefejax.geometry.tangents import unit_normals, with_normals
 from slefejax.geometry.view import View
 from slefejax.lanes import layout, loops, passes

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from slefejax.arguments import Patches, check_patches, on_host
 from slefejax.geometry.evaluate import beside_places, evaluate
-from slefejax.geometry.shading import TangentNets, tangent_nets
+from slefejax.geometry.normals import TangentNets, tangent_nets
 from slefejax.geometry.tangents import unit_normals, with_normals
 from slefejax.tessellator.edges import check_edge_numbers
 

@@ -18,12 +18,12 @@ from jaxtyping import Float, Int
 
 from slefejax.bounds.parts import part_error
 from slefejax.bounds.quadratics import PARTS
-from slefejax.bounds.turned import part_turn
 from slefejax.geometry.gregory import Twisted
 from slefejax.geometry.projection import Projection, undivided
 from slefejax.geometry.view import homogeneous
 from slefejax.lanes import loops, nets, passes
 from slefejax.lanes.tuning import TUNING
+from slefejax.predict.normals.parts import part_turn
 from slefejax.tessellator.direct3d11 import ragged
 
 _HIGHEST = 128  # factors above are left as they are: proofs take time as the square

@@ -18,7 +18,7 @@ from slefejax.lanes.memory import Memory
 from slefejax.lanes.tuning import TUNING
 from slefejax.predict.cells import Pictures, grid_errors, triangle_errors
 from slefejax.predict.certified import certified_factor
-from slefejax.predict.normals import NormalClaim, shape_of
+from slefejax.predict.normals.claim import NormalClaim, shape_of
 from slefejax.tessellator.levels import HIGHEST_LEVEL
 from slefejax.tessellator.rings import Pattern
 
@@ -128,11 +128,15 @@ class Certificate:
         closer = self.closer | (self.loose & (levels.prod(axis=1) <= _LARGE_CELLS))
 
         def find(own: np.ndarray) -> np.ndarray:
-            return self._worst(lambda pictures, at: grid_errors(pictures, patch[at], levels[at], lines, closer[at]), own, patch)
+            return self._worst(
+                lambda pictures, at: grid_errors(pictures, patch[at], levels[at], lines, closer[at]), own, patch
+            )
 
         return self.scale**2 * self.memory.recall("grids", patch, given, find)
 
-    def _worst(self, errors: Callable[[Pictures, np.ndarray], np.ndarray], own: np.ndarray, patch: np.ndarray) -> np.ndarray:
+    def _worst(
+        self, errors: Callable[[Pictures, np.ndarray], np.ndarray], own: np.ndarray, patch: np.ndarray
+    ) -> np.ndarray:
         """Errors of positions, and of normals where there is a claim, something is seen and positions are right."""
         found = errors(self.pictures, own)
         if self.normals is None:

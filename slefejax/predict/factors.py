@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any, Unpack
+from typing import Any, Literal, Unpack
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ from slefejax.arguments import Number, Patches, check_positive, on_host
 from slefejax.errors import InputError
 from slefejax.geometry.evaluate import as_control
 from slefejax.geometry.gregory import GregoryPatches, Twisted
+from slefejax.geometry.normals import kind_of_normals, tangent_nets
 from slefejax.geometry.packed import Packed, pack
 from slefejax.geometry.projection import Projection
 from slefejax.geometry.view import View, check_view
@@ -24,9 +25,10 @@ from slefejax.lanes import layout
 from slefejax.lanes.memory import Memory
 from slefejax.predict.cells import Pictured, Pictures, verified_factors
 from slefejax.predict.certificate import Certificate
-from slefejax.predict.drawn import drawn_levels, small_grids
+from slefejax.predict.drawn.levels import drawn_levels, small_grids
 from slefejax.predict.kernel import Kernel, Method, Prepared, Tolerances
 from slefejax.predict.methods import Certified, Knobs, Name, Request, name_of
+from slefejax.predict.normals.shading import Shading
 from slefejax.tessellator.edges import check_edge_numbers, edge_maxima, shared_edges
 from slefejax.tessellator.levels import with_pieces
 
@@ -116,11 +118,18 @@ class Factors:
         pairs = None if self.pairs is None else np.ceil(self.pairs * scale).astype(np.int64)
         return replace(self, factor=self.factor * scale, pairs=pairs, certify=certify)
 
-    def at(self, patches: Patches, view: View, *, edge_numbers: Int[np.ndarray, "patches 4"] | None = None) -> Factors:
+    def at(
+        self,
+        patches: Patches,
+        view: View,
+        *,
+        tangents: Any = None,
+        edge_numbers: Int[np.ndarray, "patches 4"] | None = None,
+    ) -> Factors:
         """The same with levels and edges again, for factors that come out of jit.
 
-        patches, view : those that the factors were computed of
-        edge_numbers  : as of ``tessellation_factors``
+        patches, view, tangents : those that the factors were computed of
+        edge_numbers            : as of ``tessellation_factors``
 
         Raises InputError for other numbers of patches, and inside of jit.
 
@@ -139,7 +148,8 @@ class Factors:
             raise InputError(f"these are factors of {len(self.factor)} patches, not of {len(packed)}")
         if isinstance(self.factor, Tracer):
             raise InputError(_TRACED)
-        return _settled(self.factor, self.request, Prepared.of(packed), view, _checked(edge_numbers, packed))
+        prepared = shaded(self.request, Prepared(packed), "surface" if tangents is None else "tangents", tangents)
+        return _settled(self.factor, self.request, prepared, view, _checked(edge_numbers, packed))
 
 
 _TRACED = (
@@ -148,17 +158,18 @@ _TRACED = (
 )
 
 
-def _flatten(factors: Factors) -> tuple[tuple[Any, Any], Any]:
+def _flatten(factors: Factors) -> tuple[tuple[Any, Any, Any], Any]:
     """The factors and what was asked for; methods of one's own that are no pytrees are static."""
     request = factors.request
+    own, without = factors.factor, factors.without_normal
     if request is None or isinstance(request.method, Kernel):
-        return (factors.factor, request), None
-    return (factors.factor, request.tolerances), request.method
+        return (own, request, without), None
+    return (own, request.tolerances, without), request.method
 
 
-def _unflatten(method: Any, children: tuple[Any, Any]) -> Factors:
-    factor, rest = children
-    return Factors(factor, rest if method is None else Request(method, rest))
+def _unflatten(method: Any, children: tuple[Any, Any, Any]) -> Factors:
+    factor, rest, without = children
+    return Factors(factor, rest if method is None else Request(method, rest), without_normal=without)
 
 
 jax.tree_util.register_pytree_node(Factors, _flatten, _unflatten)
@@ -171,6 +182,9 @@ def tessellation_factors(
     *,
     tolerance: Number = 0.5,
     depth_tolerance: Number | None = None,
+    normal_tolerance: Number | None = None,
+    normals: Literal["surface", "tangents"] = "surface",
+    tangents: Any = None,
     edge_numbers: Int[np.ndarray, "patches 4"] | None = None,
     **knobs: Unpack[Knobs],
 ) -> Factors:
@@ -187,6 +201,11 @@ def tessellation_factors(
                       ``"screen-box"``, ``"fixed"``
     tolerance       : pixels
     depth_tolerance : window depth (0 to 1), or None for no depth test; of ``certified`` and ``slefe``
+    normal_tolerance : degrees, more than 0 and less than 90, or None; of ``certified``. Interpolated normals, as a
+                      ``Renderer(…, normals=…)`` draws them, are no further from the exact ones, on all patches but
+                      those ``without_normal``, whose normals do not exist somewhere, such as at cusps
+    normals         : which these are: ``"surface"``, p_u x p_v, or ``"tangents"``, the cross product of tangent patches
+    tangents        : these, along u ``(patches, du, dv+1, 3)`` and along v, as ``scene.tangents()`` returns them
     edge_numbers    : ``(patches, 4)``, the result of ``shared_edges``, if it is already known
     knobs           : numbers of the method, where that is given by name; None is what the method takes by itself.
                       Of ``certified`` (``methods.Certified`` says more): ``tiles``, 2; ``anisotropic``, ``verify``,
@@ -213,10 +232,33 @@ def tessellation_factors(
     (32,)
     """
     packed = pack(patches)
-    options = {"method": method, "tolerance": tolerance, "depth_tolerance": depth_tolerance, **knobs}
+    options = {
+        "method": method,
+        "tolerance": tolerance,
+        "depth_tolerance": depth_tolerance,
+        "normal_tolerance": normal_tolerance,
+        **knobs,
+    }
     request = Request.of(options, packed.dimension)
     check_view(view)
-    return predicted(request, packed, view, _checked(edge_numbers, packed))
+    prepared = shaded(request, Prepared(packed), normals, tangents)
+    return predicted(request, prepared, view, _checked(edge_numbers, packed))
+
+
+def shaded(request: Request, prepared: Prepared, normals: str = "surface", tangents: Any = None) -> Prepared:
+    """What was prepared, with the normals that have to be right if there is a tolerance for them.
+
+    Raises InputError for tangents as ``tessellation_factors`` does.
+    """
+    kind = kind_of_normals(normals)
+    if request.normal_tolerance is None:
+        if tangents is not None or kind == "tangents":
+            raise InputError("normals and tangents are for a normal_tolerance: give one", options=("normals",))
+        return prepared
+    packed, method = prepared.packed, request.method
+    nets = tangent_nets(packed.patches(), kind, tangents)
+    shading = Shading(packed, nets, request.normal_tolerance, method.maxima, int(method.tiles))
+    return prepared._replace(shading=shading)
 
 
 def prepared_by(method: Method, packed: Packed) -> Prepared:
@@ -233,12 +275,12 @@ def predicted(
 
     memory : what is known of the levels of these patches in this view
     """
-    method, tolerances = request
+    method, tolerances = request[:2]
     if isinstance(method, Kernel):
         prepared = Prepared.of(patches)
         factor = method.factor(prepared, view, tolerances)
     else:
-        prepared = patches if isinstance(patches, Prepared) else prepared_by(method, patches)
+        prepared = prepared_by(method, patches.packed if isinstance(patches, Prepared) else patches)
         factor = _of_ones_own(method, method.factor(prepared.made, view, tolerances), len(prepared.packed))
     return _settled(factor, request, prepared, view, edge_numbers, memory)
 
@@ -269,20 +311,21 @@ def _settled(
     factor: Any, request: Request, prepared: Prepared, view: View, edge_numbers: Any, memory: Memory | None = None
 ) -> Factors:
     """Factors with what their levels need; of certified ones also whole numbers, where they are asked for."""
-    method, tolerances = request
+    method, tolerances, shading = *request[:2], prepared.shading
+    factor, without = (factor, None) if shading is None else shading.joined(factor)
     if isinstance(factor, Tracer):
         if isinstance(method, Certified) and method.whole:
             raise InputError("anisotropic and verify find whole numbers: ask for them outside of jit and grad")
-        return Factors(factor, request, known=edge_numbers)
+        return Factors(factor, request, known=edge_numbers, without_normal=without)
     packed = prepared.packed
     _check_result(np.asarray(factor), packed.patches)
     if not isinstance(method, Certified):
         return Factors(factor, request, packed, edge_numbers)
-    certify = _Certify(method, packed, view, tolerances, np.asarray(factor), memory or Memory())
+    certify = _Certify(method, prepared, view, tolerances, np.asarray(factor), memory or Memory())
     if method.verify:
-        factor = verified_factors(np.asarray(factor), certify().pictures)
+        factor = verified_factors(np.asarray(factor), certify().even_errors)
     pairs = small_grids(certify(), anisotropic=True) if method.anisotropic else None
-    return Factors(factor, request, packed, edge_numbers, pairs, certify)
+    return Factors(factor, request, packed, edge_numbers, pairs, certify, without)
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,7 +333,7 @@ class _Certify:
     """Makes the certificate of some factors, once, when it is asked for; it can be pickled."""
 
     method: Certified
-    packed: Packed
+    prepared: Prepared
     view: View
     tolerances: Tolerances
     factor: np.ndarray
@@ -298,6 +341,11 @@ class _Certify:
 
     def __call__(self) -> Certificate:
         return self._certificate
+
+    @property
+    def packed(self) -> Packed:
+        """The patches."""
+        return self.prepared.packed
 
     @cached_property
     def _certificate(self) -> Certificate:
@@ -310,7 +358,9 @@ class _Certify:
         # bounds of twist terms are loose on large cells
         loose = self.packed.gregory
         closer = loose and self.method.levels == "fewest"
-        return Certificate(self._given, tolerances, tiles, pattern, self.factor, pictures, self.memory, closer, loose)
+        claim = None if self.prepared.shading is None else self.prepared.shading.claim()
+        given = self._given, tolerances, tiles, pattern, self.factor, pictures, self.memory
+        return Certificate(*given, closer, loose, claim)
 
     def _given(self) -> tuple[Any, Projection]:
         chunks, projection = self.packed.placed(self.view)

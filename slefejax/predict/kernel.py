@@ -30,6 +30,7 @@ from slefejax.geometry.projection import Projection, least_distance, unless_bad
 from slefejax.geometry.view import View, check_view
 from slefejax.geometry.volume import on_screen
 from slefejax.lanes import layout, loops, passes
+from slefejax.predict.normals.shading import Shading
 
 
 class Tolerances(NamedTuple):
@@ -57,10 +58,14 @@ class Method(Protocol):
 
 
 class Prepared(NamedTuple):
-    """Patches of a pose, and what a method made of them: slefe boxes, or whatever one's own method prepares."""
+    """Patches of a pose, and what a method made of them: slefe boxes, or whatever one's own method prepares.
+
+    shading : which of their normals have to be right, too, and how far (``predict.normals``)
+    """
 
     packed: Packed
     made: Any = None
+    shading: Shading | None = None
 
     @staticmethod
     def of(patches: Patches | Prepared) -> Prepared:

@@ -23,6 +23,7 @@ from slefejax.arguments import (
     Patches,
     Segments,
     check_choice,
+    check_degrees,
     check_positive,
     check_temperature,
     check_whole,
@@ -231,10 +232,12 @@ class Options(Knobs, total=False):
     method: Name | Method | str
     tolerance: Number
     depth_tolerance: Number | None
+    normal_tolerance: Number | None
+    normals: Literal["surface", "tangents"]
 
 
 class Request(NamedTuple):
-    """The same as values: a method, and what errors are allowed.
+    """The same as values: a method, what errors are allowed, and how far normals may be off, in degrees or None.
 
     >>> Request.of({"method": "filip", "tolerance": 1.0}).tolerances.pixels
     1.0
@@ -242,6 +245,7 @@ class Request(NamedTuple):
 
     method: Any
     tolerances: Tolerances
+    normal_tolerance: Any = None
 
     @staticmethod
     def of(options: Mapping[str, Any], dimension: int = 3) -> Request:
@@ -254,7 +258,11 @@ class Request(NamedTuple):
             check_positive("depth_tolerance", tolerances.depth)
         if isinstance(method, Kernel):
             method.check(dimension, tolerances)
-        return Request(method, tolerances)
+        degrees = options.get("normal_tolerance")
+        if degrees is not None:
+            _check_takes_normals(method)
+            check_degrees("normal_tolerance", degrees)
+        return Request(method, tolerances, degrees)
 
     def at(self, tolerance: Any) -> Request:
         """The same with another tolerance in pixels."""
@@ -272,10 +280,18 @@ class Request(NamedTuple):
 
     def left_out(self) -> tuple[str, ...]:
         """What is not computed because it was not asked for, a sentence each."""
-        return self.method.left_out(self.tolerances) if isinstance(self.method, Kernel) else ()
+        found = self.method.left_out(self.tolerances) if isinstance(self.method, Kernel) else ()
+        asked = self.normal_tolerance is not None or not isinstance(self.method, Certified)
+        return found if asked else ("normals: no normal tolerance was given", *found)
 
 
-_ASKED = ("method", "tolerance", "depth_tolerance")
+_ASKED = ("method", "tolerance", "depth_tolerance", "normal_tolerance", "normals")
+
+
+def _check_takes_normals(method: Any) -> None:
+    if not isinstance(method, Certified):
+        said = f"method {name_of(method)!r} knows no normal_tolerance: 'certified' does"
+        raise InputError(said, options=("normal_tolerance", "method"))
 
 
 def name_of(method: Any) -> str:

@@ -6,12 +6,13 @@ import numpy as np
 from jaxtyping import Int
 
 from slefejax.predict.certificate import Certificate
-from slefejax.predict.fewest import lowered_levels
-from slefejax.predict.proved import proved_levels
+from slefejax.predict.drawn.fewest import lowered_levels
+from slefejax.predict.drawn.proved import proved_levels
 from slefejax.tessellator.edges import edge_maxima
 from slefejax.tessellator.levels import HIGHEST_LEVEL, with_pieces
 
 _HIGHEST_TRIED = 96  # of a level that 64 might do for
+_HIGHEST_TURNED = 1024  # the same where normals have to be right, whose factors may be three times as high as needed
 _FAR_TOO_LARGE = 1e6  # an error
 _MORE = 3  # cells along one side that are tried at once, to save some along the other
 _ROUNDS = 64
@@ -29,7 +30,7 @@ def drawn_levels(
     fewest  : levels are lowered as long as any can be, else once
 
     Every patch begins with the coarsest grid that was found, and every edge with the larger of its neighbours' levels;
-    they are proved, and raised where they are not (``slefejax.predict.proved``).
+    they are proved, and raised where they are not (``slefejax.predict.drawn.proved``).
     """
     grids = small_grids(certificate, anisotropic)
     inner, edges = proved_levels(certificate, *with_pieces(grids, edge_maxima(grids, numbers), numbers), numbers, grids)
@@ -49,7 +50,7 @@ def _coarsest(certificate: Certificate) -> Int[np.ndarray, "patches"]:
     """The same along u and v. How much a grid errs tells which one to look at next."""
     found = certificate.even.copy()
     failed, trial = np.zeros_like(found), np.minimum(found - 1, HIGHEST_LEVEL)
-    worth = found <= _HIGHEST_TRIED
+    worth = found <= (_HIGHEST_TRIED if certificate.normals is None else _HIGHEST_TURNED)
     while (own := np.flatnonzero(worth & (failed < trial) & (trial < found) & (trial <= HIGHEST_LEVEL))).size:
         error = certificate.grid_errors(own, np.repeat(trial[own, None], 2, axis=1))
         fine = error <= 1.0

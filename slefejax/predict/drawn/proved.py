@@ -133,7 +133,9 @@ def _lengths_keep(
         holds[block] = _positions_keep(certificate, *own)
         if certificate.normals is not None:
             axis, nets = OWN_AXIS[side[block]], _along_sides(certificate.normals.nets(patch[block]), *own[1::2])
-            holds[block] &= certificate.normals.triangles_keep(nets, patch[block], axis, length[block], certificate.scale)
+            holds[block] &= certificate.normals.triangles_keep(
+                nets, patch[block], axis, length[block], certificate.scale
+            )
     return holds
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from slefejax.predict.certificate import Certificate
-from slefejax.predict.proved import acting, has_pieces, ring_errors
+from slefejax.predict.drawn.proved import acting, has_pieces, ring_errors
 from slefejax.tessellator.levels import OWN_AXIS, pieces_along
 
 _SMALLER = ((1, 0), (0, 1))  # cells less along u and v

@@ -5,7 +5,6 @@ They do not depend on the view: what is found for patches serves all views.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -13,21 +12,31 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from slefejax.arguments import on_host
-from slefejax.bounds.triangles import AnyTriangle, HalfCells
-from slefejax.geometry.normals import array_module, collapsed_sides, crossed, normal_net, without_collapsed
+from slefejax.errors import InputError
+from slefejax.geometry.normals import (
+    TangentNets,
+    array_module,
+    collapsed_sides,
+    crossed,
+    normal_net,
+    still_sides,
+    without_collapsed,
+)
 from slefejax.geometry.packed import Packed
 from slefejax.lanes import layout, loops, passes
 from slefejax.lanes.maxima import Maxima, root
 from slefejax.lanes.tuning import TUNING
 from slefejax.predict.cells import Pictures, Turned
-from slefejax.predict.turning import turning
+from slefejax.predict.normals.claim import NormalClaim
+from slefejax.predict.normals.turning import turning
 
 MOST = 1024.0  # cells a side: a normal that needs more counts as one that does not exist
 _LOOSE = 1.75  # more tiles are worth it where second derivatives are bounded by that many times what corners tell
 _FINER = 4  # times as many tiles along each side
+_HIGHEST_DEGREE = 16  # of normals
 
 
 class Surfaces(NamedTuple):
@@ -62,11 +71,14 @@ class Tangents(NamedTuple):
 
     along_u: Any
     along_v: Any
+    still: Any  # (4, lanes): along which sides those in their direction are 0
 
     def undivided(self) -> tuple[Any, Any]:
         """As of ``Surfaces``."""
-        near = [net / _largest(net) for net in self]
-        return crossed(*near), array_module(*near).full_like(near[0][0, 0, 0], 2.0)
+        near = [net / _largest(net) for net in self[:2]]
+        (nu, nv), divided = near[1].shape[:2], self.still.sum(axis=0)
+        size = array_module(*near).full_like(near[0][0, 0, 0], 2.0) * (3.0 * max(nu, nv)) ** divided
+        return without_collapsed(crossed(*near), self.still), size
 
 
 def _largest(net: Any) -> Any:
@@ -80,13 +92,15 @@ def _largest(net: Any) -> Any:
 @loops.chunked
 def _turning_factors(given: Any, angle: Any, maxima: Maxima, *, tiles: int) -> Any:
     """Real factors, infinite where nothing is known, and where more tiles may find less."""
-    found = turning(*given.undivided(), angle, tiles=tiles, maxima=maxima)
+    net, size = given.undivided()
+    found = turning(net, size, angle, tiles=tiles, maxima=maxima)
     return root(found.square), ~(found.second <= _LOOSE * jnp.maximum(found.corners, 1.0))
 
 
 @_turning_factors.rest
 def _finer(given: Any, angle: Any, maxima: Maxima, *, tiles: int) -> Array:
-    return root(turning(*given.undivided(), angle, tiles=_FINER * tiles, maxima=maxima).square)
+    net, size = given.undivided()
+    return root(turning(net, size, angle, tiles=_FINER * tiles, maxima=maxima).square)
 
 
 @_turning_factors.slopes
@@ -97,7 +111,8 @@ def _slopes(given: Any, _: Any, angle: Any, maxima: Maxima, *, tiles: int) -> Ar
 
 
 @passes.as_pass(3)
-def _turning_pass(given: Any, angle: Any, maxima: Maxima, tiles: int) -> Any:
+def _turning_pass(every: tuple[Any], angle: Any, maxima: Maxima, tiles: int) -> Any:
+    (given,) = every
     chunks, lanes = jax.tree.leaves(given)[0].shape[0], jax.tree.leaves(given)[0].shape[-1]
     found = _turning_factors(jax.tree.map(_narrow, given), angle, maxima, tiles=tiles)
     return found.reshape(chunks, lanes)
@@ -117,7 +132,7 @@ def turning_factors(given: Any, count: int, degrees: Any, maxima: Maxima, tiles:
     given : ``Surfaces`` or ``Tangents``, chunks of them
     """
     angle = jnp.deg2rad(jnp.asarray(degrees, jax.tree.leaves(given)[0].dtype))
-    found = layout.unpack(_turning_pass(given, angle, maxima, tiles), count)
+    found = layout.unpack(_turning_pass((given,), angle, maxima, tiles), count)
     return jnp.where(found <= MOST, found, jnp.inf)
 
 
@@ -126,41 +141,60 @@ class Shading:
     """How patches are shaded, and how far off that may be.
 
     packed   : the patches
-    tangents : arrays ``(patches, du, dv+1, 3)`` and ``(patches, du+1, dv, 3)``; None: the surface's own normals
+    tangents : tangent patches; None: the surface's own normals
     degrees  : how far interpolated normals may be from the exact ones
     maxima   : of the factors
     tiles    : along each side of a patch, more where they find less
+
+    Raises InputError for patches whose normals nothing is known of.
     """
 
     packed: Packed
-    tangents: Any
+    tangents: TangentNets | None
     degrees: Any
     maxima: Maxima
     tiles: int
+
+    def __post_init__(self) -> None:
+        """Refuse what there is no certificate for."""
+        if self.tangents is not None:
+            return
+        if self.packed.gregory:
+            raise InputError("Gregory patches have no certificate for normals: load the mesh with the scheme 'acc'")
+        shape = self.packed.chunks.shape[1:3]
+        highest = max((3 * n - 5 if self.packed.dimension == 4 else 2 * n - 3) for n in shape)
+        if highest > _HIGHEST_DEGREE:
+            raise InputError(
+                f"normals of these patches have degree {highest}, and a certificate is there up to {_HIGHEST_DEGREE}:"
+                " leave normal_tolerance out, or convert the mesh with the scheme 'acc'",
+                options=("normal_tolerance",),
+            )
 
     @cached_property
     def factor(self) -> Float[Array, "patches"]:
         """From which on they are not; infinite where there is no claim, such as at cusps."""
         return turning_factors(self._chunks, len(self.packed), self.degrees, self.maxima, self.tiles)
 
+    def program(self) -> Any:
+        """The traced program (jaxpr) of the factors."""
+        given = (self._chunks,), self.degrees, self.maxima, self.tiles
+        return jax.make_jaxpr(_turning_pass, static_argnums=3)(*given)
+
     @property
     def _chunks(self) -> Surfaces | Tangents:
         if self.tangents is not None:
-            most = layout.most_lanes(int(np.prod(self.packed_shape)))
-            return Tangents(*(layout.pack(own, most) for own in self.tangents))
+            kept = [own.astype(self.packed.dtype) for own in self.tangents]
+            along_u, along_v, still = (layout.pack(own, TUNING.turned) for own in (*kept, self._still))
+            return Tangents(along_u, along_v, still)
         control = self.packed.chunks
         if self.packed.rounded and self.packed.given is not None:
-            control = layout.pack(_from_corners(self.packed), layout.most_lanes(int(np.prod(self.packed_shape))))
-        return Surfaces(control, layout.pack(self._collapsed, control.shape[-1]))
-
-    @property
-    def packed_shape(self) -> tuple[int, int]:
-        """Of control nets."""
-        return self.packed.chunks.shape[1:3]
+            control = layout.pack(_from_corners(self.packed), control.shape[-1])
+        return Surfaces(control, layout.pack(self._still, control.shape[-1]))
 
     @cached_property
-    def _collapsed(self) -> Bool[Array | np.ndarray, "patches 4"]:
-        return collapsed_sides(self.packed.patches())
+    def _still(self) -> Bool[Array | np.ndarray, "patches 4"]:
+        """Along which sides normals are 0, because they are points."""
+        return collapsed_sides(self.packed.patches()) if self.tangents is None else still_sides(self.tangents)
 
     def joined(self, factor: Any) -> tuple[Any, Any]:
         """Factors for positions and normals both, and of which patches on the screen normals have no claim."""
@@ -171,17 +205,17 @@ class Shading:
     def claim(self) -> NormalClaim:
         """What tells which triangles keep the angle."""
         angle = float(np.deg2rad(float(self.degrees)))
-        return NormalClaim(
-            Pictures(self._turned, len(self.packed)), self._turned, angle, self.tiles, np.isfinite(self.factor)
-        )
+        pictures, claimed = Pictures(self._turned, len(self.packed)), np.isfinite(self.factor)
+        return NormalClaim(pictures, self._turned, angle, _FINER * self.tiles, claimed)
 
     def _turned(self, which: np.ndarray) -> Turned:
         """In double precision, whatever the patches are in."""
         if self.tangents is None:
             patches = np.moveaxis(np.asarray(on_host(self.packed.patches())[which], np.float64), 0, -1)
-            given: Any = Surfaces(patches, np.asarray(self._collapsed)[which].T)
+            given: Any = Surfaces(patches, np.asarray(self._still)[which].T)
         else:
-            given = Tangents(*(np.moveaxis(np.asarray(own, np.float64)[which], 0, -1) for own in self.tangents))
+            along_u, along_v = (np.moveaxis(np.asarray(own, np.float64)[which], 0, -1) for own in self.tangents)
+            given = Tangents(along_u, along_v, np.asarray(self._still)[which].T)
         net, size = given.undivided()
         return Turned(net, size, float(np.deg2rad(float(self.degrees))))
 
@@ -192,69 +226,3 @@ def _from_corners(packed: Packed) -> np.ndarray:
     corner = given[:, :1, :1, :3] / (given[:, :1, :1, 3:] if given.shape[-1] == 4 else 1.0)
     weights = given[..., 3:] if given.shape[-1] == 4 else 1.0
     return np.concatenate([given[..., :3] - weights * corner, given[..., 3:]], axis=-1).astype(packed.dtype)
-
-
-@dataclass(frozen=True, eq=False)
-class NormalClaim:
-    """Which triangles keep an angle. Errors are over it; of patches without a claim they are 0."""
-
-    pictures: Pictures
-    turned: Callable[[np.ndarray], Turned]
-    angle: float
-    tiles: int
-    claimed: Bool[np.ndarray, "patches"]
-
-    def nets(self, patch: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n ku kv 3"]:
-        """Undivided normals."""
-        return np.moveaxis(self.turned(patch).net, -1, 0)
-
-    def boxes(self, patch: np.ndarray, extents: np.ndarray, evenness: Any) -> Float[np.ndarray, "n"]:
-        """Real factors for halves of boxes of sides extent/n (``Certificate.factors``); 0 without a claim."""
-        numbers = np.column_stack([extents, np.broadcast_to(evenness, len(patch))])
-        return self._through(_boxes_pass, self.nets(patch), patch, numbers)
-
-    def triangles_keep(
-        self, nets: np.ndarray, patch: np.ndarray, along: np.ndarray, length: np.ndarray, scale: float
-    ) -> Bool[np.ndarray, "n"]:
-        """Whether triangles of any shape, of a length along an axis of nets, keep the angle."""
-        size, extents = shape_of(along, length, 1.0)
-        return scale * size * self._through(_triangles_pass, nets, patch, extents) <= 1.0
-
-    def _through(self, compiled: Any, nets: np.ndarray, patch: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-        found = np.zeros(len(patch))
-        own = np.flatnonzero(self.claimed[patch])
-        if len(own):
-            numbers = np.column_stack([numbers[own], self.turned(patch[own]).sizes])
-            run = lambda given: compiled(given, self.angle, self.tiles)  # noqa: E731
-            with jax.enable_x64(True):
-                found[own] = layout.through(run, (nets[own], numbers), np.float64)
-        return found
-
-
-def shape_of(along: np.ndarray, length: np.ndarray, width: Any) -> tuple[np.ndarray, Float[np.ndarray, "n 2"]]:
-    """Of triangles of a length along an axis and a width: 1/n, and the sides of the box that holds them times n.
-
-    >>> [x.tolist() for x in shape_of(np.array([0]), np.array([0.5]), 0.125)]
-    [[0.25], [[2.0, 0.5]]]
-    """
-    ratio = np.sqrt(length / width)
-    long_u, long_v = np.stack([ratio, 1.0 / ratio], 1), np.stack([1.0 / ratio, ratio], 1)
-    return np.sqrt(length * width), np.where((along == 0)[:, None], long_u, long_v)
-
-
-@passes.as_pass(2)
-def _boxes_pass(given: Any, angle: Any, tiles: int) -> Any:
-    def kernel(both: Any) -> Any:
-        net, (e_u, e_v, evenness, size) = both
-        return root(turning(net, size, angle, HalfCells((e_u, e_v), evenness), tiles=tiles).square)
-
-    return loops.over_chunks(kernel, given)
-
-
-@passes.as_pass(2)
-def _triangles_pass(given: Any, angle: Any, tiles: int) -> Any:
-    def kernel(both: Any) -> Any:
-        net, (e_u, e_v, size) = both
-        return root(turning(net, size, angle, AnyTriangle((e_u, e_v)), tiles=tiles).square)
-
-    return loops.over_chunks(kernel, given)

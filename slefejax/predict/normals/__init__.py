@@ -1,0 +1,1 @@
+"""Factors and levels for interpolated normals (docs/certified.md, section 11)."""

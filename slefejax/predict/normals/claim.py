@@ -1,0 +1,83 @@
+"""What decides which triangles keep an angle between interpolated normals and exact ones (docs/certified.md, 11)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from slefejax.bounds.triangles import AnyTriangle, HalfCells
+from slefejax.lanes import layout, loops, passes
+from slefejax.lanes.maxima import root
+from slefejax.predict.cells import Pictures, Turned
+from slefejax.predict.normals.turning import turning
+
+
+@dataclass(frozen=True, eq=False)
+class NormalClaim:
+    """Which triangles keep an angle. Errors are over it; of patches without a claim they are 0."""
+
+    pictures: Pictures
+    turned: Callable[[np.ndarray], Turned]
+    angle: float
+    tiles: int
+    claimed: Bool[np.ndarray, "patches"]
+
+    def nets(self, patch: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n ku kv 3"]:
+        """Undivided normals."""
+        return np.moveaxis(self.turned(patch).net, -1, 0)
+
+    def boxes(self, patch: np.ndarray, extents: np.ndarray, evenness: Any) -> Float[np.ndarray, "n"]:
+        """Real factors for halves of boxes of sides extent/n (``Certificate.factors``); 0 without a claim."""
+        numbers = np.column_stack([extents, np.broadcast_to(evenness, len(patch))])
+        return self._through(_boxes_pass, self.nets(patch), patch, numbers)
+
+    def triangles_keep(
+        self, nets: np.ndarray, patch: np.ndarray, along: np.ndarray, length: np.ndarray, scale: float
+    ) -> Bool[np.ndarray, "n"]:
+        """Whether triangles of any shape, of a length along an axis of nets, keep the angle."""
+        size, extents = shape_of(along, length, 1.0)
+        return scale * size * self._through(_triangles_pass, nets, patch, extents) <= 1.0
+
+    def _through(self, compiled: Any, nets: np.ndarray, patch: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+        found = np.zeros(len(patch))
+        own = np.flatnonzero(self.claimed[patch])
+        if len(own):
+            numbers = np.column_stack([numbers[own], self.turned(patch[own]).sizes])
+            run = lambda given: compiled(given, self.angle, self.tiles)  # noqa: E731
+            with jax.enable_x64(True):
+                found[own] = layout.through(run, (nets[own], numbers), np.float64)
+        return found
+
+
+def shape_of(along: np.ndarray, length: np.ndarray, width: Any) -> tuple[np.ndarray, Float[np.ndarray, "n 2"]]:
+    """Of triangles of a length along an axis and a width: 1/n, and the sides of the box that holds them times n.
+
+    >>> [x.tolist() for x in shape_of(np.array([0]), np.array([0.5]), 0.125)]
+    [[0.25], [[2.0, 0.5]]]
+    """
+    ratio = np.sqrt(length / width)
+    long_u, long_v = np.stack([ratio, 1.0 / ratio], 1), np.stack([1.0 / ratio, ratio], 1)
+    return np.sqrt(length * width), np.where((along == 0)[:, None], long_u, long_v)
+
+
+@passes.as_pass(2)
+def _boxes_pass(given: Any, angle: Any, tiles: int) -> Any:
+    def kernel(both: Any) -> Any:
+        net, (e_u, e_v, evenness, size) = both
+        return root(turning(net, size, angle, HalfCells((e_u, e_v), evenness), tiles=tiles).square)
+
+    return loops.over_chunks(kernel, given)
+
+
+@passes.as_pass(2)
+def _triangles_pass(given: Any, angle: Any, tiles: int) -> Any:
+    def kernel(both: Any) -> Any:
+        net, (e_u, e_v, size) = both
+        return root(turning(net, size, angle, AnyTriangle((e_u, e_v)), tiles=tiles).square)
+
+    return loops.over_chunks(kernel, given)
