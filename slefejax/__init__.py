@@ -30,6 +30,7 @@ from slefejax.measure.error import drawn_error, normal_error, pixel_error
 from slefejax.measure.jumps import edge_turns
 from slefejax.measure.limit import LimitDistance, limit_distance
 from slefejax.measure.minimal import minimal_factors, minimal_pairs
+from slefejax.measure.normals import sampled_normal_error, triangle_normal_error, worst_normal_points
 from slefejax.measure.rounding import rounding_error
 from slefejax.measure.supremum import sampled_error, worst_points
 from slefejax.measure.triangles import triangle_error
@@ -119,6 +120,7 @@ __all__ = [
     "real_triangles",
     "rounding_error",
     "sampled_error",
+    "sampled_normal_error",
     "save",
     "screen_twists",
     "screen_widths",
@@ -133,8 +135,10 @@ __all__ = [
     "tolerance_for_budget",
     "triangle_counts",
     "triangle_error",
+    "triangle_normal_error",
     "triangulate",
     "with_pieces",
+    "worst_normal_points",
     "worst_points",
 ]
 

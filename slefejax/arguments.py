@@ -153,7 +153,7 @@ def check_positive(name: str, value: Any) -> None:
 
 
 def check_degrees(name: str, value: Any) -> None:
-    """InputError unless a concrete value is a number between 0 and 90 degrees, without these.
+    """InputError unless the number is an acute angle in degrees.
 
     >>> check_degrees("normal_tolerance", 200)
     Traceback (most recent call last):
@@ -163,10 +163,11 @@ def check_degrees(name: str, value: Any) -> None:
     if isinstance(value, Tracer):
         return
     try:
-        fine = 0.0 < float(value) < 90.0
+        number = np.asarray(value) if isinstance(value, jax.Array) else value  # in jit JAX would trace what it compares
+        fine = np.ndim(number) == 0 and not isinstance(value, bool) and bool(number > 0) and bool(number < 90)
     except (TypeError, ValueError):
         fine = False
-    if not fine or isinstance(value, (bool, str)):
+    if not fine:
         raise InputError(f"{name} must be more than 0 and less than 90 degrees, not {value!r}", options=(name,))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -28,14 +29,16 @@ def evaluate(control: Any, u: Values, v: Values) -> Values:
     return evaluate_patch(control.net, u, v) + combine(control.twists, twist_basis(len(control.twists), u, v))
 
 
-def places_at(control: Any, u: Values, v: Values) -> Values:
+def places_at(control: Any, u: Values, v: Values, evaluator: Callable[..., Values] = evaluate) -> Values:
     """The same in space, ``(3, ...)``: of rational patches, of four rows, over their weights.
+
+    evaluator : ``evaluate``, or ``evaluate_grid`` with parameters as it takes them
 
     >>> half = np.array([1.0, 2.0, 3.0, 2.0]).reshape(1, 1, 4)
     >>> places_at(half, 0.5, 0.25).tolist()
     [0.5, 1.0, 1.5]
     """
-    found = evaluate(control, u, v)
+    found = evaluator(control, u, v)
     return found[:3] / found[3] if len(found) == 4 else found
 
 

@@ -5,28 +5,33 @@ Control points and parameters are as ``geometry.evaluate.places_at`` takes them.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from slefejax.geometry.bezier import Values
-from slefejax.geometry.evaluate import places_at
+from slefejax.geometry.evaluate import evaluate, places_at
 
 _FLAT = 1e-9  # sine of an angle between tangents: below, there is no tangent plane
 _STEEP = 1e-12  # square of such a sine: below, no step is taken
 _SHORTER = 0.25  # a step that leads no nearer is tried again so much shorter
 
 
-def tangents(control: Any, u: Values, v: Values) -> tuple[Values, Values, Values]:
+def tangents(
+    control: Any, u: Values, v: Values, evaluator: Callable[..., Values] = evaluate
+) -> tuple[Values, Values, Values]:
     """Points and their derivatives by u and by v, each ``(3, ...)``.
+
+    evaluator : as of ``places_at``
 
     >>> square = jnp.array([[[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]], [[2.0, 0.0, 0.0], [2.0, 1.0, 0.0]]])
     >>> [x.tolist() for x in tangents(square, jnp.array(0.5), jnp.array(0.0))]
     [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
     """
-    point, along_u = jax.jvp(lambda x: places_at(control, x, v), (u,), (jnp.ones_like(u),))
-    _, along_v = jax.jvp(lambda x: places_at(control, u, x), (v,), (jnp.ones_like(v),))
+    point, along_u = jax.jvp(lambda x: places_at(control, x, v, evaluator), (u,), (jnp.ones_like(u),))
+    _, along_v = jax.jvp(lambda x: places_at(control, u, x, evaluator), (v,), (jnp.ones_like(v),))
     return point, along_u, along_v
 
 

@@ -1,10 +1,8 @@
-"""Minimal factors: the smallest whole number of pieces that keeps the tolerance (docs/math.md, 4).
+"""Minimal factors: the smallest whole number of pieces that keeps the tolerances (docs/math.md, 4).
 
 The error need not fall from one factor to the next, so a bisection could miss the smallest one. Every factor is
-therefore tried, from 1 upwards, but nearly all are ruled out cheaply: the places where a patch's error was largest at
-other factors are witnesses, and a factor at which the cells around them err by more than the tolerance is too small.
-Only a factor that all witnesses allow is measured over the whole domain; if it fails there, its worst points become
-witnesses too.
+therefore tried, from 1 upwards, but nearly all are ruled out by witnesses (``measure.witnesses``). Only a factor that
+all of these allow is measured over the whole domain; if it fails there, its worst points become witnesses too.
 """
 
 from __future__ import annotations
@@ -15,15 +13,25 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
-from slefejax.arguments import Number, Patches, check_concrete, check_patches, check_positive, is_whole, on_host
+from slefejax.arguments import (
+    Number,
+    Patches,
+    check_choice,
+    check_concrete,
+    check_degrees,
+    check_patches,
+    check_positive,
+    is_whole,
+    on_host,
+)
 from slefejax.errors import InputError
 from slefejax.geometry.view import View
-from slefejax.measure.supremum import Surface, in_batches, worst_points
+from slefejax.measure.normals import KINDS
+from slefejax.measure.supremum import Supremum
+from slefejax.measure.witnesses import Criterion
 from slefejax.tessellator.levels import MOST_LEVEL
 
-_FIRST = 12  # the factor whose worst points are the first witnesses, and at which a patch must be seen to count
 _AHEAD = 32  # candidates that are tried against the witnesses at once
-_WITNESSES = 8
 
 Progress = Callable[[int], None]
 
@@ -31,22 +39,27 @@ Progress = Callable[[int], None]
 def minimal_factors(
     patches: Patches,
     view: View,
-    tolerance: Number = 0.5,
+    tolerance: Number | None = 0.5,
     *,
+    normal_tolerance: Number | None = None,
+    normals: str = "surface",
+    tangents: Any = None,
     limit: int = 4096,
     progress: Progress | None = None,
 ) -> Int[np.ndarray, "patches"]:
-    """The smallest whole factor of every patch whose sampled error is at most ``tolerance`` pixels.
+    """The smallest whole factor of every patch whose sampled errors are at most the tolerances.
 
-    patches   : control points ``(patches, du+1, dv+1, 3)``, or 4 at the end if rational
-    tolerance : pixels
-    limit     : the largest factor to try
-    progress  : hears how many patches are settled
-    returns   : ``(patches,)`` whole numbers, at least 1; 0 for a patch of which nothing is visible
+    patches           : control points ``(patches, du+1, dv+1, 3)``, or 4 at the end if rational; or ``GregoryPatches``
+    tolerance         : pixels; None: wherever points are drawn
+    normal_tolerance  : degrees between interpolated and exact normals, less than 90; None: whatever they are
+    normals, tangents : which normals, as of ``sampled_normal_error``
+    limit             : the largest factor to try
+    progress          : hears how many patches are settled
+    returns           : ``(patches,)`` whole numbers, at least 1; 0 for a patch of which nothing is visible
 
-    The error is that of ``sampled_error``: uniform, either diagonal, known to 1 %; where it is that close to the
-    tolerance the factor may be one too small. Raises InputError for bad arguments, or for a patch that needs more than
-    ``limit``.
+    The errors are those of ``sampled_error`` and ``sampled_normal_error``: uniform, either diagonal, known to 1 %;
+    where one is that close to its tolerance the factor may be one too small. Raises InputError for bad arguments, or
+    for a patch that needs more than ``limit``.
 
     >>> parabola = np.zeros((1, 3, 2, 3))
     >>> parabola[0, :, :, 0], parabola[0, 2, :, 1], parabola[0, :, 1, 2] = [[0], [50], [100]], 200, 1
@@ -55,24 +68,26 @@ def minimal_factors(
     >>> minimal_factors(parabola, View(camera, 300, 300), tolerance=2.1).tolist()         # 200 / (4 n^2) <= 2.1
     [5]
     """
-    check_concrete("minimal_factors", patches, view)
-    patches = check_patches(patches, gregory=True)
-    check_positive("tolerance", tolerance)
+    check_concrete("minimal_factors", patches, view, tangents)
     if not is_whole(limit, 1) or limit > MOST_LEVEL:
         raise InputError(f"the limit must be a whole number from 1 to {MOST_LEVEL}, not {limit!r}")
+    criteria = _criteria(patches, view, tolerance, normal_tolerance, normals, tangents)
     diagonal = np.repeat(np.arange(1, limit + 1)[:, None], 2, axis=1)
-    return _Search(on_host(patches), view, float(tolerance), diagonal).run(progress)[:, 0]
+    return _Search(criteria, diagonal).run(progress)[:, 0]
 
 
 def minimal_pairs(
     patches: Patches,
     view: View,
-    tolerance: Number = 0.5,
+    tolerance: Number | None = 0.5,
     *,
+    normal_tolerance: Number | None = None,
+    normals: str = "surface",
+    tangents: Any = None,
     limit: int = 512,
     progress: Progress | None = None,
 ) -> Int[np.ndarray, "patches 2"]:
-    """The pair (n_u, n_v) of every patch with the fewest triangles whose sampled error is at most ``tolerance``.
+    """The pair (n_u, n_v) of every patch with the fewest triangles whose sampled errors are at most the tolerances.
 
     Arguments and errors as ``minimal_factors``; of pairs with equally many triangles the one nearest to a square.
     Returns ``(patches, 2)`` whole numbers, 0 for a patch of which nothing is visible. A pair is never more than the
@@ -85,9 +100,28 @@ def minimal_pairs(
     >>> minimal_pairs(parabola, View(camera, 300, 300), tolerance=2.1).tolist()
     [[5, 1]]
     """
-    square = minimal_factors(patches, view, tolerance, limit=limit)
+    kept = {"normal_tolerance": normal_tolerance, "normals": normals, "tangents": tangents}
+    square = minimal_factors(patches, view, tolerance, limit=limit, **kept)
     pairs = _by_triangles(int(square.max()))
-    return _Search(on_host(check_patches(patches, gregory=True)), view, float(tolerance), pairs).run(progress)
+    return _Search(_criteria(patches, view, tolerance, **kept), pairs).run(progress)
+
+
+def _criteria(
+    patches: Any, view: View, tolerance: Any, normal_tolerance: Any, normals: str, tangents: Any
+) -> list[Criterion]:
+    """What is to be kept: positions, normals, or both."""
+    given = on_host(check_patches(patches, gregory=True))
+    check_choice("kind of normals", normals, KINDS)
+    if tolerance is None and normal_tolerance is None:
+        raise InputError("a tolerance is needed: in pixels, normal_tolerance= in degrees, or both")
+    if tolerance is not None:
+        check_positive("tolerance", tolerance)
+    if normal_tolerance is not None:
+        check_degrees("normal_tolerance", normal_tolerance)
+    found = [] if tolerance is None else [Criterion.of_positions(given, view, float(tolerance))]
+    if normal_tolerance is not None:
+        found.append(Criterion.of_normals(given, view, float(normal_tolerance), normals, tangents))
+    return found
 
 
 def _by_triangles(largest: int) -> Int[np.ndarray, "pairs 2"]:
@@ -101,20 +135,14 @@ def _by_triangles(largest: int) -> Int[np.ndarray, "pairs 2"]:
 
 
 class _Search:
-    """All patches at once: each has a next candidate to try, in the order of the candidates, and its witnesses."""
+    """All patches at once: each has a next candidate to try, in the order of the candidates."""
 
-    def __init__(self, patches: Any, view: View, tolerance: float, candidates: np.ndarray) -> None:
-        self.patches, self.view, self.tolerance, self.candidates = patches, view, tolerance, candidates
-        self.surface = Surface.of(patches, view)
-        self.found = np.zeros((len(patches), 2), np.int64)
-        self.next = np.zeros(len(patches), np.int64)
-        self.witnesses = np.full((len(patches), _WITNESSES, 2), np.nan)
-        self.known = np.zeros(len(patches), np.int64)  # witnesses that a patch has had
-        first = worst_points(patches, np.full(len(patches), _FIRST), view)
-        self.open = ~np.isnan(first.u)
-        seen = np.flatnonzero(self.open)
-        self._add_witnesses(seen, first.u[seen], first.v[seen])
-        self._skip(seen)
+    def __init__(self, criteria: list[Criterion], candidates: np.ndarray) -> None:
+        self.criteria, self.candidates = criteria, candidates
+        self.open = np.any([own.seen for own in criteria], axis=0)
+        self.found = np.zeros((len(self.open), 2), np.int64)
+        self.next = np.zeros(len(self.open), np.int64)
+        self._skip(np.flatnonzero(self.open))
 
     def run(self, progress: Progress | None) -> Int[np.ndarray, "patches 2"]:
         """Step until every patch is settled."""
@@ -129,20 +157,24 @@ class _Search:
         chosen = np.flatnonzero(self.open)
         self._check_limit(chosen)
         levels = self.candidates[self.next[chosen]]
-        found = worst_points(self.patches[chosen], levels, self.view)
-        # triangles that miss the screen have no error, but the patch is on it: they do not count as fine
-        drawn = ~np.isnan(found.u)
-        fine = drawn & (found.error <= self.tolerance)
+        fine = self._fine(chosen, levels)
         self.found[chosen[fine]] = levels[fine]
         self.open[chosen[fine]] = False
         bad = chosen[~fine]
-        self._add_witnesses(chosen[~fine & drawn], found.u[~fine & drawn], found.v[~fine & drawn])
         self.next[bad] += 1
         self._skip(bad)
 
-    def _add_witnesses(self, chosen: np.ndarray, u: np.ndarray, v: np.ndarray) -> None:
-        self.witnesses[chosen, self.known[chosen] % _WITNESSES] = np.column_stack([u, v])
-        self.known[chosen] += 1
+    def _fine(self, chosen: np.ndarray, levels: np.ndarray) -> np.ndarray:
+        """Which patches these levels are enough for; the worst points of others are witnesses."""
+        fine, drawn = np.ones(len(chosen), bool), np.zeros(len(chosen), bool)
+        for own in self.criteria:
+            found = own.worst(chosen, levels)
+            kept = found.error <= own.tolerance
+            own.remember(chosen[~kept], Supremum(*(column[~kept] for column in found)))
+            fine &= kept
+            drawn |= ~np.isnan(found.u)
+        # triangles that miss the screen have no error, but the patch is on it: they do not count as fine
+        return fine & drawn
 
     def _skip(self, chosen: np.ndarray) -> None:
         """Move on past all candidates at which a witness's cell errs too much."""
@@ -150,30 +182,16 @@ class _Search:
             ahead = self.next[chosen][:, None] + np.arange(_AHEAD)
             past = ahead >= len(self.candidates)
             levels = self.candidates[np.minimum(ahead, len(self.candidates) - 1)]
-            allowed = self._allowed(chosen, levels) | past
+            allowed = np.all([own.allows(chosen, levels) for own in self.criteria], axis=0) | past
             stop = allowed.any(axis=1)
             self.next[chosen] += np.where(stop, np.argmax(allowed, axis=1), _AHEAD)
             chosen = chosen[~stop]
 
-    def _allowed(self, chosen: np.ndarray, levels: np.ndarray) -> np.ndarray:
-        """Whether no witness speaks against candidates: ``(chosen, ahead)`` for levels ``(chosen, ahead, 2)``."""
-        shape = levels.shape[:2]
-        there = ~np.isnan(self.witnesses[chosen, None, :, 0])
-        row, column, which = np.nonzero(np.broadcast_to(there, (*shape, _WITNESSES)))
-        place, own = self.witnesses[chosen][row, which], levels[row, column]
-        cell = np.minimum(np.floor(place * own), own - 1)
-        cells = np.stack([cell, cell + 1], axis=2) / own[:, :, None]
-        whole = np.tile([0.0, 0.0, 1.0], (len(cells), 1))
-        error = in_batches(self.surface, chosen[row], cells.reshape(-1, 4), whole)[0]
-        worst = np.zeros(shape)
-        np.maximum.at(worst, (row, column), error)
-        return worst <= self.tolerance
-
     def _check_limit(self, chosen: np.ndarray) -> None:
         beyond = chosen[self.next[chosen] >= len(self.candidates)]
         if beyond.size:
+            needs, never = (" and ".join(getattr(own, name) for own in self.criteria) for name in ("needs", "never"))
             raise InputError(
-                f"patch {beyond[0]} (counted from 0) needs a factor above {self.candidates[-1].max()} for"
-                f" {self.tolerance:g} px: raise the limit or the tolerance (a patch that passes the camera's plane on"
-                " the screen can never be right)"
+                f"patch {beyond[0]} (counted from 0) needs a factor above {self.candidates[-1].max()} for {needs}:"
+                f" raise the limit or the tolerance ({never} can never be right)"
             )

@@ -20,6 +20,7 @@ Everything is float64, in batches of bounded size, whatever the factors.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -32,7 +33,7 @@ from slefejax.errors import InputError
 from slefejax.geometry.evaluate import evaluate_grid
 from slefejax.geometry.view import View
 from slefejax.lanes import layout, loops, passes
-from slefejax.measure.surface import Surface, distance, of_patches
+from slefejax.measure.surface import Quantity, Surface, of_patches
 from slefejax.tessellator.levels import MOST_LEVEL
 
 _LATTICE = 10  # q: intervals of the samples' lattice along each side
@@ -46,7 +47,9 @@ Windows = Float[np.ndarray, "windows 3"]
 
 
 class Supremum(NamedTuple):
-    """The largest error of every patch in pixels, and where it is attained (NaN where nothing is visible).
+    """The largest error of every patch, and where it is attained (NaN where nothing is visible).
+
+    error : pixels, or degrees between normals
 
     >>> quad = np.array([[[0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0]]], float)
     >>> from slefejax import Camera
@@ -84,12 +87,20 @@ def worst_points(patches: Patches, factors: Any, view: View) -> Supremum:
     check_concrete("sampled_error", patches, factors, view)
     given = check_patches(patches, gregory=True)
     levels = level_pairs(factors, len(given))
-    surface = Surface.of(given, view)
-    parts = [_worst_of(surface, chosen, levels[chosen]) for chosen in _blocks(_window_counts(levels)) if chosen.size]
-    result = Supremum(np.zeros(len(given)), *(np.full(len(given), np.nan) for _ in range(2)))
-    for chosen, part in parts:
-        for whole, own in zip(result, part, strict=True):
-            whole[chosen] = own
+    return worst_of(Surface.of(given, view), np.arange(len(given)), levels)
+
+
+def worst_of(surface: Surface, chosen: np.ndarray, levels: np.ndarray, zooms: int = _ZOOMS) -> Supremum:
+    """The worst points of some patches, cut uniformly.
+
+    chosen : numbers of the patches
+    levels : ``(chosen, 2)`` along u and v
+    zooms  : how often the largest samples are looked at more closely
+    """
+    result = Supremum(np.zeros(len(chosen)), *(np.full(len(chosen), np.nan) for _ in range(2)))
+    for block in _blocks(_window_counts(levels)):
+        for whole, own in zip(result, _worst_in(surface, chosen[block], levels[block], zooms), strict=True):
+            whole[block] = own
     return result
 
 
@@ -117,30 +128,30 @@ def cell_errors(
     """
     with jax.enable_x64(True):
         lanes = np.column_stack([patch, cells, windows]).astype(np.float64)
-        found = layout.through(lambda packed: _cells_pass(packed, surface.control, surface.size), lanes)
+        found = layout.through(lambda packed: _cells_pass(packed, *surface), lanes)
         error, a, b = found.T
         return error, a, b
 
 
-@passes.as_pass()
-def _cells_pass(packed: Any, control: Any, size: Any) -> Any:
-    return loops.over_chunks(_cell_kernel, packed, control, size)
+@passes.as_pass(3)
+def _cells_pass(packed: Any, control: Any, size: Any, quantity: Quantity) -> Any:
+    return loops.over_chunks(partial(_cell_kernel, quantity), packed, control, size)
 
 
-def _cell_kernel(lanes: Any, control: Any, size: Any) -> Any:
+def _cell_kernel(quantity: Quantity, lanes: Any, control: Any, size: Any) -> Any:
     own = of_patches(control, lanes[0].astype(jnp.int32))
     u0, u1, v0, v1, a0, b0, side = (lanes[k] for k in range(1, 8))
     steps = jnp.asarray(np.arange(_LATTICE + 1) / _LATTICE)[:, None]
     a, b = a0 + side * steps, b0 + side * steps
-    exact = evaluate_grid(own, u0 + a * (u1 - u0), v0 + b * (v1 - v0))
-    ends = evaluate_grid(own, jnp.stack([u0, u1]), jnp.stack([v0, v1]))
+    exact = quantity.rows(own, u0 + a * (u1 - u0), v0 + b * (v1 - v0), evaluate_grid)
+    ends = quantity.rows(own, jnp.stack([u0, u1]), jnp.stack([v0, v1]), evaluate_grid)
     p00, p01, p10, p11 = (ends[:, i, j][:, None, None] for i in (0, 1) for j in (0, 1))
     a, b = a[:, None], b[None, :]
     rising = jnp.where(a >= b, p00 + a * (p10 - p00) + b * (p11 - p10), p00 + b * (p01 - p00) + a * (p11 - p01))
     falling = jnp.where(
         a + b <= 1, p00 + a * (p10 - p00) + b * (p01 - p00), p11 + (1 - a) * (p01 - p11) + (1 - b) * (p10 - p11)
     )
-    error = jnp.maximum(distance(exact, rising, size), distance(exact, falling, size))
+    error = jnp.maximum(quantity.error(exact, rising, size), quantity.error(exact, falling, size))
     flat = error.reshape(-1, error.shape[-1])
     at = jnp.argmax(flat, axis=0)
     place = jnp.stack([at // (_LATTICE + 1), at % (_LATTICE + 1)]) / _LATTICE
@@ -200,22 +211,22 @@ class _Sampled(NamedTuple):
         return _Sampled(*(column[keep] for column in self))
 
 
-def _worst_of(surface: Surface, chosen: np.ndarray, levels: np.ndarray) -> tuple[np.ndarray, Supremum]:
-    """The worst points of some patches (chosen are their numbers)."""
+def _worst_in(surface: Surface, chosen: np.ndarray, levels: np.ndarray, zooms: int) -> Supremum:
+    """The worst points of a block of patches."""
     kept = []
     for start in range(0, int(_window_counts(levels).sum()), _BATCH):
         patch, cells, windows = windows_of(levels, start, start + _BATCH)
         found = _Sampled(patch, cells, windows, *cell_errors(surface, chosen[patch], cells, windows))
         kept.append(found.only(largest_of_each(found.patch, found.error, _KEPT)))
     best = _Sampled(*(np.concatenate(column) for column in zip(*kept, strict=True)))
-    for _ in range(_ZOOMS):
+    for _ in range(zooms):
         best = best.only(largest_of_each(best.patch, best.error, _KEPT))
         best = _zoomed(surface, chosen, best)
     best = best.only(largest_of_each(best.patch, best.error, 1))
     u = best.cells[:, 0] + best.a * (best.cells[:, 1] - best.cells[:, 0])
     v = best.cells[:, 2] + best.b * (best.cells[:, 3] - best.cells[:, 2])
     seen = best.error >= 0
-    return chosen, Supremum(np.maximum(best.error, 0.0), np.where(seen, u, np.nan), np.where(seen, v, np.nan))
+    return Supremum(np.maximum(best.error, 0.0), np.where(seen, u, np.nan), np.where(seen, v, np.nan))
 
 
 def _zoomed(surface: Surface, chosen: np.ndarray, best: _Sampled) -> _Sampled:

@@ -1,7 +1,11 @@
-"""Where surfaces really are on the screen: the one projection of everything that measures, in float64."""
+"""Where surfaces really are on the screen: the one projection of everything that measures, in float64.
+
+A ``Quantity`` says what is measured of them: what triangles interpolate, and how far that is from the exact surface.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -36,6 +40,15 @@ def undivided(patches: Any, view: View) -> Any:
         control = Twisted(homogeneous(np.asarray(control.net, np.float64)) @ matrix, twists)
     else:
         control = homogeneous(np.asarray(control, np.float64)) @ matrix
+    return patches_last(control)
+
+
+def patches_last(control: Any) -> Any:
+    """Arrays ``(patches, ...)`` as ``(..., patches)``, on the device, in their own precision.
+
+    >>> patches_last({"net": np.zeros((5, 4, 3))})["net"].shape
+    (4, 3, 5)
+    """
     with jax.enable_x64(True):
         return jax.device_put(jax.tree.map(lambda x: np.ascontiguousarray(np.moveaxis(x, 0, -1)), control))
 
@@ -45,22 +58,49 @@ def of_patches(control: Any, which: Any) -> Any:
     return jax.tree.map(lambda x: x[..., which], control)
 
 
-class Surface(NamedTuple):
-    """Patches in undivided screen coordinates: X/W, Y/W pixels, Z/W window depth, as ``(du+1, dv+1, 4, patches)``."""
+class Quantity(NamedTuple):
+    """What is measured. Programs are compiled for its functions.
 
-    control: Any
+    rows  : ``rows(control, u, v, evaluator)``: what triangles interpolate, ``(rows, ...)``; evaluators are ``evaluate``
+            and ``evaluate_grid``
+    error : ``error(exact, drawn, size)`` of such rows, of a picture of that width and height; UNSEEN where what is
+            drawn does not count
+    """
+
+    rows: Callable[..., Any]
+    error: Callable[..., Any]
+
+
+class Surface(NamedTuple):
+    """Patches in a view, and what is measured of them."""
+
+    control: Any  # what the quantity's rows are made of, (..., patches)
     size: Any  # width and height of the picture in pixels
+    quantity: Quantity
 
     @staticmethod
     def of(patches: Any, view: View) -> Surface:
-        """In float64. Raises InputError for a view that is none, or for control points that are not finite."""
+        """Positions on the screen, in float64.
+
+        Raises InputError for a view that is none, or for control points that are not finite.
+        """
         if not isinstance(view, View):
             raise InputError(f"the view must be a slefejax.View, not {type(view).__name__}")
         finite = [np.isfinite(x).reshape(len(x), -1).all(axis=1) for x in jax.tree.leaves(as_control(on_host(patches)))]
         bad = np.flatnonzero(~np.all(finite, axis=0))
         if bad.size:
             raise InputError(f"patch {bad[0]} (counted from 0) has control points that are not finite numbers")
-        return Surface(undivided(patches, view), np.array([view.width, view.height], np.float64))
+        return Surface(undivided(patches, view), np.array([view.width, view.height], np.float64), _POSITION)
+
+
+def visible(drawn: Any, size: Any) -> Any:
+    """Which undivided screen points ``(4, ...)`` lie in the view volume.
+
+    >>> visible(jnp.array([[1.0, 9.0], [4.5, 4.5], [0.5, 0.5], [1.0, 0.5]]), (10.0, 10.0)).tolist()
+    [True, False]
+    """
+    x, y, z, w = drawn
+    return (w > 0) & (x >= 0) & (x <= size[0] * w) & (y >= 0) & (y <= size[1] * w) & (z >= 0) & (z <= w)
 
 
 def distance(exact: Any, drawn: Any, size: Any) -> Any:
@@ -70,8 +110,15 @@ def distance(exact: Any, drawn: Any, size: Any) -> Any:
     >>> float(distance(exact, drawn, (10.0, 10.0)))
     2.0
     """
-    x, y, z, w = drawn
-    visible = (w > 0) & (x >= 0) & (x <= size[0] * w) & (y >= 0) & (y <= size[1] * w) & (z >= 0) & (z <= w)
-    w, true_w = jnp.where(visible, w, 1.0), jnp.where(exact[3] > 0, exact[3], 1.0)
+    x, y, _, w = drawn
+    seen = visible(drawn, size)
+    w, true_w = jnp.where(seen, w, 1.0), jnp.where(exact[3] > 0, exact[3], 1.0)
     far = jnp.maximum(jnp.abs(exact[0] / true_w - x / w), jnp.abs(exact[1] / true_w - y / w))
-    return jnp.where(visible, jnp.where(exact[3] > 0, far, jnp.inf), UNSEEN)
+    return jnp.where(seen, jnp.where(exact[3] > 0, far, jnp.inf), UNSEEN)
+
+
+def _places(control: Any, u: Any, v: Any, evaluator: Callable[..., Any]) -> Any:
+    return evaluator(control, u, v)
+
+
+_POSITION = Quantity(_places, distance)

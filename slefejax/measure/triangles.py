@@ -6,6 +6,7 @@ inside are sampled by a lattice in barycentric coordinates. The largest samples 
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -19,7 +20,7 @@ from slefejax.geometry.evaluate import evaluate
 from slefejax.geometry.view import View
 from slefejax.lanes import layout, loops, passes
 from slefejax.measure.supremum import Supremum, largest_of_each
-from slefejax.measure.surface import Surface, distance, of_patches
+from slefejax.measure.surface import Quantity, Surface, of_patches
 
 _LATTICE = 10  # intervals along each edge
 _COARSEST = 1 / 6  # a triangle that is longer than this in the domain is cut before it is sampled
@@ -54,9 +55,13 @@ def triangle_error(patches: Patches, triangles: Any, view: View) -> Float[np.nda
 def worst_triangle_points(patches: Patches, triangles: Any, view: View) -> Supremum:
     """``triangle_error`` and the parameters of the maxima."""
     given = check_patches(patches, gregory=True)
-    patch, parameters = _checked(triangles, len(given))
-    surface = Surface.of(given, view)
-    error, place = np.zeros(len(given)), np.full((len(given), 2), np.nan)
+    return worst_in_triangles(Surface.of(given, view), triangles, len(given))
+
+
+def worst_in_triangles(surface: Surface, triangles: Any, count: int) -> Supremum:
+    """The worst points of triangles of so many patches."""
+    patch, parameters = _checked(triangles, count)
+    error, place = np.zeros(count), np.full((count, 2), np.nan)
     order = np.argsort(patch, kind="stable")
     for part in _whole_patches(patch[order]):
         chosen = order[part]
@@ -138,27 +143,27 @@ def _sample(
         return np.zeros(0), np.zeros((0, 3))
     with jax.enable_x64(True):
         lanes = np.column_stack([patch, parameters.reshape(-1, 6), corners.reshape(-1, 9)])
-        found = layout.through(lambda packed: _triangles_pass(packed, surface.control, surface.size), lanes)
+        found = layout.through(lambda packed: _triangles_pass(packed, *surface), lanes)
     return found[:, 0], found[:, 1:]
 
 
-@passes.as_pass()
-def _triangles_pass(packed: Any, control: Any, size: Any) -> Any:
-    return loops.over_chunks(_triangle_kernel, packed, control, size)
+@passes.as_pass(3)
+def _triangles_pass(packed: Any, control: Any, size: Any, quantity: Quantity) -> Any:
+    return loops.over_chunks(partial(_triangle_kernel, quantity), packed, control, size)
 
 
 _PLACES = np.array([(i, j, _LATTICE - i - j) for i in range(_LATTICE + 1) for j in range(_LATTICE + 1 - i)], np.float64)
 
 
-def _triangle_kernel(lanes: Any, control: Any, size: Any) -> Any:
+def _triangle_kernel(quantity: Quantity, lanes: Any, control: Any, size: Any) -> Any:
     own = jax.tree.map(lambda x: x[..., None, :], of_patches(control, lanes[0].astype(jnp.int32)))
     u, v = lanes[1:7:2], lanes[2:7:2]  # (3, lanes) each
     part = lanes[7:16].reshape(3, 3, -1)
     shares = jnp.einsum("pk,kcl->pcl", jnp.asarray(_PLACES / _LATTICE), part)  # barycentric, (places, 3, lanes)
-    exact = evaluate(own, *(jnp.sum(shares * t, axis=1) for t in (u, v)))
-    ends = evaluate(own, u, v)  # (4, 3, lanes)
+    exact = quantity.rows(own, *(jnp.sum(shares * t, axis=1) for t in (u, v)), evaluate)
+    ends = quantity.rows(own, u, v, evaluate)  # (rows, 3, lanes)
     drawn = jnp.sum(shares * ends[:, None], axis=2)
-    error = distance(exact, drawn, size)
+    error = quantity.error(exact, drawn, size)
     at = jnp.argmax(error, axis=0)
     best = jnp.take_along_axis(shares, at[None, None], axis=0)[0]
     return jnp.concatenate([jnp.max(error, axis=0)[None], best])
