@@ -55,7 +55,23 @@ CALLS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "sampled_error": (sj.sampled_error, {"patches": PATCHES, "factors": LEVELS, "view": VIEW}),
     "worst_points": (sj.worst_points, {"patches": PATCHES, "factors": LEVELS, "view": VIEW}),
     "triangle_error": (sj.triangle_error, {"patches": PATCHES, "triangles": TRIANGLES, "view": VIEW}),
-    "minimal_factors": (sj.minimal_factors, {"patches": 0.01 * PATCHES, "view": VIEW, "tolerance": 0.5, "limit": 64}),
+    "sampled_normal_error": (
+        sj.sampled_normal_error,
+        {"patches": PATCHES, "factors": LEVELS, "view": VIEW, "normals": "surface", "tangents": None},
+    ),
+    "worst_normal_points": (
+        sj.worst_normal_points,
+        {"patches": PATCHES, "factors": LEVELS, "view": VIEW, "normals": "tangents"}
+        | {"tangents": (PATCHES[:, 1:], PATCHES[:, :, 1:])},
+    ),
+    "triangle_normal_error": (
+        sj.triangle_normal_error,
+        {"patches": PATCHES, "triangles": TRIANGLES, "view": VIEW, "normals": "surface"},
+    ),
+    "minimal_factors": (
+        sj.minimal_factors,
+        {"patches": 0.01 * PATCHES, "view": VIEW, "tolerance": 0.5, "normal_tolerance": None, "limit": 64},
+    ),
     "minimal_pairs": (sj.minimal_pairs, {"patches": 0.01 * PATCHES, "view": VIEW, "tolerance": 0.5, "limit": 64}),
     "with_pieces": (
         sj.with_pieces,

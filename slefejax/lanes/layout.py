@@ -13,6 +13,7 @@ is rounded up to a few sizes, so that sweeps over many patch counts compile a fe
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -66,7 +67,7 @@ def pack(
     return jnp.moveaxis(padded, 1, -1)
 
 
-def through(run: Callable[[Any], Any], items: Any, dtype: Any = None) -> Any:
+def through(run: Callable[[Any], Any], items: Any, dtype: Any = None, most: int = TUNING.lanes) -> Any:
     """``run`` of packed items, block by block: for work of which every call has another number of items.
 
     Blocks have one of a few sizes, so that few programs are compiled whatever the numbers; the last two may overlap.
@@ -74,6 +75,7 @@ def through(run: Callable[[Any], Any], items: Any, dtype: Any = None) -> Any:
     run   : takes chunks, or a tuple of them, to chunks or ``Parts``
     items : an array ``(count, *rest)``, or a tuple of such arrays
     dtype : of the blocks; None: that of the items
+    most  : lanes of a chunk
 
     >>> through(lambda chunks: 2.0 * chunks[:, 0], np.arange(3.0).reshape(3, 1)).tolist()
     [0.0, 2.0, 4.0]
@@ -83,7 +85,7 @@ def through(run: Callable[[Any], Any], items: Any, dtype: Any = None) -> Any:
     found = None
     for start in [*range(0, count - size, size), max(count - size, 0)] if count else [0]:
         block = jax.tree.map(lambda x, start=start: _filled(x[start : start + size], size, dtype), items)
-        own = unpack_on_host(run(jax.tree.map(pack, block)), size)
+        own = unpack_on_host(run(jax.tree.map(partial(pack, most=most), block)), size)
         found = np.empty((count, *own.shape[1:]), own.dtype) if found is None else found
         found[start : start + size] = own[: count - start]
     return found

@@ -20,6 +20,7 @@ class Tuning:
     blocks                : items of a call of which every call has another number
     cells                 : cells or triangles of a call; a program more would take longer than calls that are not full
     page                  : patches that one program finds the cells of
+    sampled               : items of a chunk of which each has a hundred samples with derivatives
     gathered              : items of a chunk that some of all items are gathered into
     turned                : patches of a chunk whose normals are bounded
     most_maps             : of the 65,530 mappings of memory that Linux allows
@@ -45,6 +46,7 @@ class Tuning:
     blocks: tuple[int, ...] = (128, 1024, 8192)
     cells: int = 1024
     page: int = 1024
+    sampled: int = 128
     gathered: int = 512
     turned: int = 128
     most_maps: int = 40_000

@@ -26,9 +26,10 @@ from slefejax.arguments import (
 )
 from slefejax.errors import InputError
 from slefejax.geometry.view import View
-from slefejax.measure.normals import KINDS
+from slefejax.measure.normals import KINDS, shaded
 from slefejax.measure.supremum import Supremum
-from slefejax.measure.witnesses import Criterion
+from slefejax.measure.surface import Surface
+from slefejax.measure.witnesses import Criterion, NormalCriterion
 from slefejax.tessellator.levels import MOST_LEVEL
 
 _AHEAD = 32  # candidates that are tried against the witnesses at once
@@ -118,9 +119,10 @@ def _criteria(
         check_positive("tolerance", tolerance)
     if normal_tolerance is not None:
         check_degrees("normal_tolerance", normal_tolerance)
-    found = [] if tolerance is None else [Criterion.of_positions(given, view, float(tolerance))]
+    found = [] if tolerance is None else [Criterion(Surface.of(given, view), len(given), float(tolerance))]
     if normal_tolerance is not None:
-        found.append(Criterion.of_normals(given, view, float(normal_tolerance), normals, tangents))
+        surface = shaded(given, view, normals, tangents)
+        found.append(NormalCriterion(surface, len(given), float(normal_tolerance)))
     return found
 
 
@@ -190,7 +192,8 @@ class _Search:
     def _check_limit(self, chosen: np.ndarray) -> None:
         beyond = chosen[self.next[chosen] >= len(self.candidates)]
         if beyond.size:
-            needs, never = (" and ".join(getattr(own, name) for own in self.criteria) for name in ("needs", "never"))
+            needs = " and ".join(f"{own.tolerance:g} {own.unit}" for own in self.criteria)
+            never = " or ".join(own.never for own in self.criteria)
             raise InputError(
                 f"patch {beyond[0]} (counted from 0) needs a factor above {self.candidates[-1].max()} for {needs}:"
                 f" raise the limit or the tolerance ({never} can never be right)"

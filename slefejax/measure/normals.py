@@ -25,6 +25,7 @@ from slefejax.geometry.gregory import Twisted
 from slefejax.geometry.normals import collapsed_sides
 from slefejax.geometry.tangents import tangents as tangents_of
 from slefejax.geometry.view import View, homogeneous
+from slefejax.lanes.tuning import TUNING
 from slefejax.measure.supremum import Supremum, level_pairs, worst_of
 from slefejax.measure.surface import UNSEEN, Quantity, Surface, patches_last, visible
 from slefejax.measure.triangles import worst_in_triangles
@@ -118,8 +119,8 @@ def shaded(patches: Any, view: View, normals: str = "surface", tangents: Any = N
     return Surface(control, there.size, quantity)
 
 
-def without_normals(surface: Surface) -> Surface:
-    """The same, whose worst points are where the normal is smallest."""
+def vanishing(surface: Surface) -> Surface:
+    """The same patches; their worst points are where normals are smallest."""
     return surface._replace(quantity=surface.quantity._replace(error=_smallness))
 
 
@@ -211,5 +212,5 @@ def _smallness(exact: Any, drawn: Any, size: Any) -> Any:
     return jnp.where(visible(drawn[:4], size), 1.0 / _length(exact[4:7])[0], UNSEEN)
 
 
-_NORMAL = Quantity(_rows(_of_surface), _turned)
-_TANGENT = Quantity(_rows(_of_tangents), _turned)
+_NORMAL = Quantity(_rows(_of_surface), _turned, TUNING.sampled)
+_TANGENT = Quantity(_rows(_of_tangents), _turned, TUNING.sampled)

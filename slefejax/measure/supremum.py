@@ -128,7 +128,7 @@ def cell_errors(
     """
     with jax.enable_x64(True):
         lanes = np.column_stack([patch, cells, windows]).astype(np.float64)
-        found = layout.through(lambda packed: _cells_pass(packed, *surface), lanes)
+        found = layout.through(lambda packed: _cells_pass(packed, *surface), lanes, most=surface.quantity.lanes)
         error, a, b = found.T
         return error, a, b
 

@@ -17,6 +17,7 @@ from slefejax.errors import InputError
 from slefejax.geometry.evaluate import as_control
 from slefejax.geometry.gregory import Twisted
 from slefejax.geometry.view import View, homogeneous
+from slefejax.lanes.tuning import TUNING
 
 UNSEEN = -1.0
 
@@ -65,10 +66,12 @@ class Quantity(NamedTuple):
             and ``evaluate_grid``
     error : ``error(exact, drawn, size)`` of such rows, of a picture of that width and height; UNSEEN where what is
             drawn does not count
+    lanes : windows or triangles of a chunk
     """
 
     rows: Callable[..., Any]
     error: Callable[..., Any]
+    lanes: int = TUNING.lanes
 
 
 class Surface(NamedTuple):

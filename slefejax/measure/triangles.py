@@ -143,7 +143,7 @@ def _sample(
         return np.zeros(0), np.zeros((0, 3))
     with jax.enable_x64(True):
         lanes = np.column_stack([patch, parameters.reshape(-1, 6), corners.reshape(-1, 9)])
-        found = layout.through(lambda packed: _triangles_pass(packed, *surface), lanes)
+        found = layout.through(lambda packed: _triangles_pass(packed, *surface), lanes, most=surface.quantity.lanes)
     return found[:, 0], found[:, 1:]
 
 

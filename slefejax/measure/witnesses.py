@@ -6,55 +6,39 @@ err by more than the tolerance is too small.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from jaxtyping import Bool, Int
 
-from slefejax.geometry.view import View
-from slefejax.measure.normals import shaded, without_normals
+from slefejax.measure.normals import vanishing
 from slefejax.measure.supremum import Supremum, in_batches, worst_of
 from slefejax.measure.surface import Surface
 
 _WITNESSES = 8
 _FIRST = 12  # the factor whose worst points are the first witnesses, and at which a patch must be seen to count
-_NEARER = (1.0, 1e-2, 1e-4, 1e-6)  # next to a point without a normal what is wrong is a small part of a cell
+_LATE = 64  # a factor from which on patches are suspected to be without a normal somewhere
 _DEEP = 16  # zooms to where a normal vanishes, until it is closer than any factor would see
 
 
 class Criterion:
-    """A tolerance of one quantity, and the witnesses of every patch.
+    """A tolerance of positions, and the witnesses of every patch.
 
-    needs, never : for a sentence about a patch that needs too much: what for, and which can never be right
-    sides        : of the windows around witnesses that are looked at, in their cells
-    seen         : ``(patches,)``, what counts
+    unit  : of the tolerance
+    never : which patches can never be right
+    sides : of the windows around witnesses that are looked at, in their cells
+    seen  : ``(patches,)``, what counts
     """
 
-    def __init__(
-        self, surface: Surface, count: int, tolerance: float, needs: str, never: str, sides: tuple[float, ...] = (1.0,)
-    ) -> None:
-        self.surface, self.tolerance, self.needs, self.never, self.sides = surface, tolerance, needs, never, sides
+    unit = "px"
+    never = "a patch that passes the camera's plane on the screen"
+    sides: tuple[float, ...] = (1.0,)
+
+    def __init__(self, surface: Surface, count: int, tolerance: float) -> None:
+        self.surface, self.tolerance = surface, tolerance
         self._places = np.full((count, _WITNESSES, 2), np.nan)
         self._known = np.zeros(count, np.int64)  # witnesses that a patch has had
         first = self.worst(np.arange(count), np.full((count, 2), _FIRST))
         self.seen = ~np.isnan(first.u)
         self.remember(np.arange(count), first)
-
-    @staticmethod
-    def of_positions(patches: Any, view: View, pixels: float) -> Criterion:
-        """Positions keep so many pixels."""
-        never = "a patch that passes the camera's plane on the screen"
-        return Criterion(Surface.of(patches, view), len(patches), pixels, f"{pixels:g} px", never)
-
-    @staticmethod
-    def of_normals(patches: Any, view: View, degrees: float, normals: str, tangents: Any) -> Criterion:
-        """Normals keep so many degrees. Where one vanishes is a witness too: next to it hardly any factor will do."""
-        surface, everyone = shaded(patches, view, normals, tangents), np.arange(len(patches))
-        never = "a patch with a point that has no normal"
-        found = Criterion(surface, len(patches), degrees, f"{degrees:g} degrees between normals", never, _NEARER)
-        first = np.full((len(patches), 2), _FIRST)
-        found.remember(everyone, worst_of(without_normals(surface), everyone, first, _DEEP))
-        return found
 
     def worst(self, chosen: Int[np.ndarray, "chosen"], levels: Int[np.ndarray, "chosen 2"]) -> Supremum:
         """The worst points of some patches at these levels."""
@@ -88,3 +72,26 @@ class Criterion:
             bad = left[error > self.tolerance]
             allowed[row[bad], column[bad]] = False
         return allowed
+
+
+class NormalCriterion(Criterion):
+    """A tolerance of normals. Next to a point that has none what is wrong is a small part of a cell."""
+
+    unit = "degrees between normals"
+    never = "a patch with a point that has no normal"
+    sides = (1.0, 1e-2, 1e-4, 1e-6)
+
+    def __init__(self, surface: Surface, count: int, tolerance: float) -> None:
+        super().__init__(surface, count, tolerance)
+        self._suspected = np.zeros(count, bool)
+
+    def allows(
+        self, chosen: Int[np.ndarray, "chosen"], levels: Int[np.ndarray, "chosen ahead 2"]
+    ) -> Bool[np.ndarray, "chosen ahead"]:
+        """The same; of patches that need many cells, where normals vanish is a witness too."""
+        suspected = chosen[(levels.min(axis=2).max(axis=1) > _LATE) & ~self._suspected[chosen]]
+        if suspected.size:
+            self._suspected[suspected] = True
+            first = np.full((len(suspected), 2), _FIRST)
+            self.remember(suspected, worst_of(vanishing(self.surface), suspected, first, _DEEP))
+        return super().allows(chosen, levels)
