@@ -260,8 +260,8 @@ def test_a_curve_has_no_normals():
     ("call", "says"),
     [
         (lambda p: sampled_normal_error(p, [1], ABOVE, "flat"), "there is no kind of normals 'flat'"),
-        (lambda p: sampled_normal_error(p, [1], ABOVE, "tangents"), "need tangents="),
-        (lambda p: sampled_normal_error(p, [1], ABOVE, "tangents", p), "are a pair"),
+        (lambda p: sampled_normal_error(p, [1], ABOVE, "tangents"), "needs tangents="),
+        (lambda p: sampled_normal_error(p, [1], ABOVE, "tangents", p), "must be a pair"),
         (lambda p: sampled_normal_error(p, [1], ABOVE, "tangents", (p, p)), r"must have shapes \(1, 3, 4, 3\)"),
         (lambda p: sampled_normal_error(p, [1, 2], ABOVE), "factors of 1 patches"),
         (lambda p: triangle_normal_error(p, None, ABOVE), "what a draw captured"),

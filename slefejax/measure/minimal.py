@@ -16,7 +16,6 @@ from jaxtyping import Int
 from slefejax.arguments import (
     Number,
     Patches,
-    check_choice,
     check_concrete,
     check_degrees,
     check_patches,
@@ -25,8 +24,9 @@ from slefejax.arguments import (
     on_host,
 )
 from slefejax.errors import InputError
+from slefejax.geometry.normals import kind_of_normals
 from slefejax.geometry.view import View
-from slefejax.measure.normals import KINDS, shaded
+from slefejax.measure.normals import shaded
 from slefejax.measure.supremum import Supremum
 from slefejax.measure.surface import Surface
 from slefejax.measure.witnesses import Criterion, NormalCriterion
@@ -112,7 +112,7 @@ def _criteria(
 ) -> list[Criterion]:
     """What is to be kept: positions, normals, or both."""
     given = on_host(check_patches(patches, gregory=True))
-    check_choice("kind of normals", normals, KINDS)
+    kind_of_normals(normals)
     if tolerance is None and normal_tolerance is None:
         raise InputError("a tolerance is needed: in pixels, normal_tolerance= in degrees, or both")
     if tolerance is not None:

@@ -18,11 +18,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from slefejax.arguments import Patches, check_choice, check_concrete, check_patches, on_host, real_numbers
-from slefejax.errors import InputError
+from slefejax.arguments import Patches, check_concrete, check_patches, on_host
 from slefejax.geometry.evaluate import as_control
 from slefejax.geometry.gregory import Twisted
-from slefejax.geometry.normals import collapsed_sides
+from slefejax.geometry.normals import collapsed_sides, kind_of_normals, still_sides, tangent_nets
 from slefejax.geometry.tangents import tangents as tangents_of
 from slefejax.geometry.view import View, homogeneous
 from slefejax.lanes.tuning import TUNING
@@ -30,7 +29,6 @@ from slefejax.measure.supremum import Supremum, level_pairs, worst_of
 from slefejax.measure.surface import UNSEEN, Quantity, Surface, patches_last, visible
 from slefejax.measure.triangles import worst_in_triangles
 
-KINDS = ("surface", "tangents")
 _INSIDE = 1e-7  # of the domain: nearer to a side nothing is evaluated
 _FLAT = 1e-9  # sine of an angle between tangents: below, there is no normal
 
@@ -109,38 +107,19 @@ class _Shaded(NamedTuple):
 
 def shaded(patches: Any, view: View, normals: str = "surface", tangents: Any = None) -> Surface:
     """Patches in a view, of which normals are measured. Raises InputError as ``sampled_normal_error`` does."""
-    check_choice("kind of normals", normals, KINDS)
     there, given = Surface.of(patches, view), on_host(patches)
-    if normals == "tangents":
-        shape, quantity = _checked_tangents(tangents, len(given)), _TANGENT
+    nets = tangent_nets(given, kind_of_normals(normals), tangents)
+    if nets is None:
+        shape, still, quantity = _of_one_size(as_control(given)), collapsed_sides(given), _NORMAL
     else:
-        shape, quantity = _of_one_size(as_control(given)), _NORMAL
-    control = _Shaded(there.control, *patches_last((shape, _distances(collapsed_sides(patches)))))
+        shape, still, quantity = tuple(own / _largest(own) for own in nets), still_sides(nets), _TANGENT
+    control = _Shaded(there.control, *patches_last((shape, _distances(np.asarray(still)))))
     return Surface(control, there.size, quantity)
 
 
 def vanishing(surface: Surface) -> Surface:
     """The same patches; their worst points are where normals are smallest."""
     return surface._replace(quantity=surface.quantity._replace(error=_smallness))
-
-
-def _checked_tangents(tangents: Any, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Both tangent patches of every patch, of size 1."""
-    if tangents is None:
-        raise InputError('normals of "tangents" need tangents=, a pair of tangent patches, such as Scene.tangents()')
-    if not isinstance(tangents, (tuple, list)) or len(tangents) != 2:
-        raise InputError("tangents are a pair, of tangent patches along u and along v")
-    along = [real_numbers(x, "tangents") for x in tangents]
-    shapes = [x.shape for x in along]
-    if shapes != [(count, 3, 4, 3), (count, 4, 3, 3)]:
-        raise InputError(
-            f"tangents of {count} patches must have shapes ({count}, 3, 4, 3) and ({count}, 4, 3, 3), not"
-            f" {shapes[0]} and {shapes[1]}"
-        )
-    bad = np.flatnonzero(~np.all([np.isfinite(x).all(axis=(1, 2, 3)) for x in along], axis=0))
-    if bad.size:
-        raise InputError(f"patch {bad[0]} (counted from 0) has tangents that are not finite numbers")
-    return along[0] / _largest(along[0]), along[1] / _largest(along[1])
 
 
 def _of_one_size(control: Any) -> Any:
