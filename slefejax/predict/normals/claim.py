@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float, Int
 
 from slefejax.bounds.triangles import AnyTriangle, HalfCells
 from slefejax.lanes import layout, loops, passes
-from slefejax.lanes.maxima import root
 from slefejax.predict.cells import Pictures, Turned
 from slefejax.predict.normals.turning import turning
 
@@ -69,7 +68,7 @@ def shape_of(along: np.ndarray, length: np.ndarray, width: Any) -> tuple[np.ndar
 def _boxes_pass(given: Any, angle: Any, tiles: int) -> Any:
     def kernel(both: Any) -> Any:
         net, (e_u, e_v, evenness, size) = both
-        return root(turning(net, size, angle, HalfCells((e_u, e_v), evenness), tiles=tiles).square)
+        return turning(net, size, angle, HalfCells((e_u, e_v), evenness), tiles=tiles).factor
 
     return loops.over_chunks(kernel, given)
 
@@ -78,6 +77,6 @@ def _boxes_pass(given: Any, angle: Any, tiles: int) -> Any:
 def _triangles_pass(given: Any, angle: Any, tiles: int) -> Any:
     def kernel(both: Any) -> Any:
         net, (e_u, e_v, size) = both
-        return root(turning(net, size, angle, AnyTriangle((e_u, e_v)), tiles=tiles).square)
+        return turning(net, size, angle, AnyTriangle((e_u, e_v)), tiles=tiles).factor
 
     return loops.over_chunks(kernel, given)

@@ -27,7 +27,7 @@ from slefejax.geometry.normals import (
 )
 from slefejax.geometry.packed import Packed
 from slefejax.lanes import layout, loops, passes
-from slefejax.lanes.maxima import Maxima, root
+from slefejax.lanes.maxima import Maxima
 from slefejax.lanes.tuning import TUNING
 from slefejax.predict.cells import Pictures, Turned
 from slefejax.predict.normals.claim import NormalClaim
@@ -94,19 +94,19 @@ def _turning_factors(given: Any, angle: Any, maxima: Maxima, *, tiles: int) -> A
     """Real factors, infinite where nothing is known, and where more tiles may find less."""
     net, size = given.undivided()
     found = turning(net, size, angle, tiles=tiles, maxima=maxima)
-    return root(found.square), ~(found.second <= _LOOSE * jnp.maximum(found.corners, 1.0))
+    tight = found.second <= _LOOSE * jnp.maximum(found.corners, 1.0)
+    return found.factor, ~(tight & found.known)
 
 
 @_turning_factors.rest
 def _finer(given: Any, angle: Any, maxima: Maxima, *, tiles: int) -> Array:
     net, size = given.undivided()
-    return root(turning(net, size, angle, tiles=_FINER * tiles, maxima=maxima).square)
+    return turning(net, size, angle, tiles=_FINER * tiles, maxima=maxima).factor
 
 
 @_turning_factors.slopes
 def _slopes(given: Any, _: Any, angle: Any, maxima: Maxima, *, tiles: int) -> Array:
     found, loose = _turning_factors.kernel(given, angle, maxima, tiles=tiles)
-    # a root of what is infinite has no slope
     return jnp.where(loose, _finer(given, angle, maxima, tiles=tiles), found)
 
 

@@ -32,14 +32,21 @@ Numbers = Array  # (ku+1, kv+1, lanes)
 class Turning(NamedTuple):
     """What grids of n x n cells need for interpolated normals to be near enough.
 
-    square  : n^2 from which on they are; infinite where nothing is known
+    square  : n^2 from which on they are
     second  : the part of it that second derivatives make
     corners : what that is at corners of tiles alone, so that more tiles cannot make it less
+    known   : whether all of that is so: nowhere else normals may vanish, as far as these tiles tell
     """
 
     square: Lanes
     second: Lanes
     corners: Lanes
+    known: Lanes
+
+    @property
+    def factor(self) -> Lanes:
+        """Real factors; infinite where nothing is known."""
+        return jnp.where(self.known, root(self.square), jnp.inf)
 
 
 def turning(
@@ -62,10 +69,11 @@ def turning(
     def step(found: Turning, matrices: Any) -> Turning:
         tile = _Tile.of(_linear(net, lambda flat: nets.combined(flat, *matrices)), size, maxima)
         own = tile.turning(whole, angle, shapes, tiles, maxima)
-        return Turning(*(maxima.largest([a, b]) for a, b in zip(found, own, strict=True)))
+        largest = [maxima.largest([a, b]) for a, b in zip(found[:3], own[:3], strict=True)]
+        return Turning(*largest, found.known & own.known)
 
     given = jax.tree.map(lambda x: jnp.asarray(x, net.dtype), tile_matrices(net.shape[0], net.shape[1], tiles))
-    start = Turning(jnp.ones_like(size), jnp.zeros_like(size), jnp.zeros_like(size))
+    start = Turning(jnp.ones_like(size), jnp.zeros_like(size), jnp.zeros_like(size), size > 0)
     return loops.repeated(step, start, given)
 
 
@@ -111,9 +119,7 @@ class _Tile(NamedTuple):
         fourth = (whole[1] * root(1.0 + self.reach**2) + 16.0 * degree**4 * self.error) / 288.0 * scale
         square = solved(Terms(second, third, fourth, least, whole[0] / 8.0 * self.widest), maxima)
         square = square * (1.0 + 128.0 * float(jnp.finfo(self.net.dtype).eps))
-        found = Turning(square, second / 8.0, corners * tiles**2 / (8.0 * angle))
-        unknown = Turning(*(jnp.full_like(square, x) for x in (jnp.inf, jnp.inf, 0.0)))
-        return jax.tree.map(lambda own, other: jnp.where(self.deep, own, other), found, unknown)
+        return Turning(square, second / 8.0, corners * tiles**2 / (8.0 * angle), self.deep)
 
     def _bend(self, triangles: Triangles, maxima: Maxima) -> tuple[Lanes, Lanes]:
         """How far triangles bend N - s N.m at most, over N.m, where s is N over N.m at the place; and at corners alone.

@@ -1,0 +1,232 @@
+"""Certified normals: dense sampling finds no interpolated normal further off than was asked for."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import slefejax as sj
+from slefejax import Camera, InputError, Session, View, tessellation_factors
+from slefejax.geometry.bezier import evaluate_patch
+from slefejax.geometry.normals import collapsed_sides, normal_net, without_collapsed
+from slefejax.predict.cells import Pictures, Turned, cell_errors, triangle_errors
+from slefejax.predict.normals.turning import turning
+
+ABOVE = View(Camera.orthographic((0.0, 0.0, 50.0), (0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0), height=40.0), 300, 300)
+SHAPES = [(2, 2, 3), (3, 4, 3), (4, 4, 3), (3, 3, 4)]
+
+
+def sheets(rng, count, shape, steep=0.2):
+    """Wavy sheets seen from above, with weights if there are four coordinates."""
+    nu, nv, dim = shape
+    x, y = np.meshgrid(np.linspace(-1, 1, nu), np.linspace(-1, 1, nv), indexing="ij")
+    points = np.stack([x, y, 0 * x], axis=-1) + steep * rng.normal(size=(count, nu, nv, 3))
+    if dim == 3:
+        return points
+    weights = np.exp(0.4 * rng.normal(size=(count, nu, nv, 1)))
+    return np.concatenate([points * weights, weights], axis=-1)
+
+
+def undivided(patches):
+    net = normal_net(np.moveaxis(np.asarray(patches, np.float64), 0, -1))
+    return np.moveaxis(without_collapsed(net, np.asarray(collapsed_sides(patches)).T), -1, 0)
+
+
+def degrees_between(a, b):
+    return np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1)))
+
+
+def at(net, u, v):
+    """(..., 3)"""
+    return np.moveaxis(evaluate_patch(net.reshape(*net.shape, *[1] * u.ndim), u, v), 0, -1)
+
+
+def on_cell(net, low, high, places=13):
+    """The largest angle on a cell, for both diagonals."""
+    t = np.linspace(0, 1, places)
+    a, b = np.meshgrid(t, t, indexing="ij")
+    exact = at(net, low[0] + a * (high[0] - low[0]), low[1] + b * (high[1] - low[1]))
+    p, q, r, s = exact[0, 0], exact[-1, 0], exact[0, -1], exact[-1, -1]
+    a, b = a[..., None], b[..., None]
+    rising = np.where(a >= b, p + a * (q - p) + b * (s - q), p + b * (r - p) + a * (s - r))
+    falling = np.where(a + b <= 1, p + a * (q - p) + b * (r - p), s + (1 - a) * (r - s) + (1 - b) * (q - s))
+    return max(degrees_between(rising, exact).max(), degrees_between(falling, exact).max())
+
+
+def on_grid(net, n):
+    cells = [(np.array([i, j]) / n, np.array([i + 1, j + 1]) / n) for i in range(n) for j in range(n)]
+    return max(on_cell(net, low, high) for low, high in cells)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_grids_keep_the_angle(rng, shape):
+    patches = sheets(rng, 12, shape)
+    for allowed in (1.0, 5.0):
+        found = tessellation_factors(patches, ABOVE, tolerance=1e6, normal_tolerance=allowed)
+        factor, claimed = np.asarray(found.factor), ~np.asarray(found.without_normal)
+        assert claimed.sum() >= 9
+        for net, n in zip(undivided(patches)[claimed], np.ceil(factor[claimed]).astype(int), strict=True):
+            if n <= 25:
+                assert on_grid(net, n) <= allowed
+
+
+@pytest.mark.parametrize("side", range(4))
+def test_sides_that_are_points_have_claims(rng, side):
+    patches = sheets(rng, 6, (4, 4, 3), steep=0.05)
+    if side % 2 == 0:
+        patches[:, -(side // 2)] = patches[:, -(side // 2), 1:2]
+    else:
+        patches[:, :, -(side // 2)] = patches[:, 1:2, -(side // 2)]
+    found = tessellation_factors(patches, ABOVE, tolerance=1e6, normal_tolerance=2.0)
+    assert not np.any(found.without_normal)
+    for net, factor in zip(undivided(patches), np.asarray(found.factor), strict=True):
+        assert on_grid(net, int(np.ceil(factor))) <= 2.0
+
+
+def test_a_cusp_has_no_claim_and_keeps_its_position(rng):
+    patches = sheets(rng, 2, (4, 4, 3), steep=0.0)
+    # p_u turns round on the way: its normal does, too
+    patches[1, :, :, 0] = np.array([0.0, 1.0, -1.0, 0.0])[:, None]
+    plain = tessellation_factors(patches, ABOVE)
+    found = tessellation_factors(patches, ABOVE, normal_tolerance=1.0)
+    assert np.asarray(found.without_normal).tolist() == [False, True]
+    assert np.array_equal(found.factor, plain.factor)
+    assert np.array_equal(found.edges, plain.edges)
+
+
+@pytest.mark.parametrize("shape", [(4, 4, 3), (3, 3, 4)])
+def test_cells_and_triangles_turn_no_more_than_is_told_and_little_less(rng, shape):
+    nets = undivided(sheets(rng, 20, shape))
+    pictures = Pictures(lambda which: Turned(np.moveaxis(nets[which], 0, -1), np.ones(len(which)), np.deg2rad(1.0)), 20)
+    low = rng.uniform(0, 0.8, (20, 2))
+    high = low + rng.uniform(0.05, 0.2, (20, 2))
+    told = cell_errors(pictures, np.arange(20), low, high)
+    true = np.array([on_cell(net, *box) for net, *box in zip(nets, low, high, strict=True)])
+    assert np.all(true <= told)
+    assert np.median(told / true) < 1.3
+    corners = np.stack([low, np.stack([high[:, 0], low[:, 1]], axis=1), high], axis=1)
+    halves = triangle_errors(pictures, np.arange(20), corners)
+    shares = rng.dirichlet(np.ones(3), 200)
+    for net, triangle, most in zip(nets, corners, halves, strict=True):
+        drawn = shares @ at(net, *triangle.T)
+        assert degrees_between(drawn, at(net, *(shares @ triangle).T)).max() <= most
+
+
+def test_triangles_of_the_teapot_keep_an_angle_as_drawn(teapot):
+    patches, view = teapot.patches(), View(teapot.default_camera(), 1440, 900)
+    for options in ({}, {"anisotropic": True, "levels": "fewest"}):
+        found = tessellation_factors(patches, view, normal_tolerance=2.0, **options)
+        drawn = sj.triangulate(patches, found)
+        assert sj.triangle_normal_error(patches, drawn, view).max() <= 2.0
+        assert sj.triangle_error(patches, drawn, view).max() <= 0.5
+
+
+def test_verify_finds_smaller_factors_that_hold(rng):
+    patches = sheets(rng, 8, (4, 4, 3))
+    loose, tight = (
+        np.asarray(tessellation_factors(patches, ABOVE, tolerance=1e6, normal_tolerance=1.0, verify=verify).factor)
+        for verify in (False, True)
+    )
+    assert np.all(tight <= np.ceil(loose))
+    assert np.median(tight / np.ceil(loose)) < 1.0
+    for net, n in zip(undivided(patches), np.ceil(tight).astype(int), strict=True):
+        assert on_grid(net, n) <= 1.0
+
+
+def test_more_tiles_are_never_looser(rng):
+    nets = jnp.asarray(np.moveaxis(undivided(sheets(rng, 16, (4, 4, 3))), 0, -1))
+    squares = [turning(nets, jnp.ones(16), 0.02, tiles=tiles).factor for tiles in (1, 2, 4, 8)]
+    for coarse, fine in pairwise(squares):
+        assert np.all(np.asarray(fine) <= 1.001 * np.asarray(coarse))
+
+
+@pytest.mark.parametrize("smooth", [None, 0.05])
+def test_derivatives_are_those_of_finite_differences(rng, smooth):
+    patches = sheets(rng, 2, (3, 3, 3))
+    along = rng.normal(size=patches.shape)
+
+    def total(step, degrees):
+        asked = {"tolerance": 1e6, "tiles": 1, "smooth": smooth}
+        return jnp.sum(tessellation_factors(patches + step * along, ABOVE, normal_tolerance=degrees, **asked).factor)
+
+    step = 1e-6
+    with jax.enable_x64(True):
+        found = jax.grad(total, (0, 1))(0.0, 1.0)
+        wanted = [float(total(*ends[0]) - total(*ends[1])) / (2 * step) for ends in _beside(0.0, 1.0, step)]
+    np.testing.assert_allclose(found, wanted, rtol=2e-4)
+
+
+def _beside(x, y, step):
+    """Ends of central differences, of the first number and of the second."""
+    return [((x + step, y), (x - step, y)), ((x, y + step), (x, y - step))]
+
+
+def test_inside_of_jit_factors_are_the_same(rng):
+    patches = sheets(rng, 5, (4, 4, 3))
+
+    def factors(points):
+        return tessellation_factors(points, ABOVE, normal_tolerance=1.0)
+
+    with jax.enable_x64(True):
+        inside, outside = jax.jit(factors)(patches), factors(patches)
+        np.testing.assert_allclose(inside.factor, outside.factor, rtol=1e-12)
+        assert np.array_equal(np.asarray(inside.without_normal), np.asarray(outside.without_normal))
+        assert np.array_equal(inside.at(patches, ABOVE).edges, outside.edges)
+
+
+def test_single_precision_holds(rng):
+    patches = sheets(rng, 12, (4, 4, 3)).astype(np.float32) + np.float32(100.0)
+    view = View(Camera.orthographic((100, 100, 200), (100, 100, 100), up=(0, 1, 0), height=40.0), 300, 300)
+    with jax.enable_x64(False):
+        found = tessellation_factors(patches, view, tolerance=1e6, normal_tolerance=1.0)
+    double = tessellation_factors(patches.astype(np.float64), view, tolerance=1e6, normal_tolerance=1.0)
+    ratio = np.asarray(found.factor) / np.asarray(double.factor)
+    assert np.all((ratio > 0.999) & (ratio < 1.2))
+
+
+def test_without_a_tolerance_there_are_no_normals_in_the_trace(teapot):
+    view = View(teapot.default_camera(), 1440, 900)
+    text = [str(program) for program in Session(teapot).programs(view).values()]
+    assert not any("6,6,3" in own for own in text)
+    programs = Session(teapot, normal_tolerance=1.0).programs(view)
+    assert "6,6,3" in str(programs["normals"])
+    assert "6,6,3" not in str(programs["view"])
+    assert any("normals" in said for said in Session(teapot).left_out())
+
+
+def test_sessions_know_normals_of_every_pose():
+    walker = sj.load("walker")
+    view = View(walker.default_camera(), 640, 400)
+    session = Session(walker, normal_tolerance=2.0, normals="tangents")
+    for time in (0.0, 6.0):
+        found = session.factors(view, time)
+        patches, tangents = np.asarray(walker.pose(time)), walker.tangents(time)
+        wanted = tessellation_factors(patches, view, normal_tolerance=2.0, normals="tangents", tangents=tangents)
+        np.testing.assert_allclose(found.factor, wanted.factor, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"normal_tolerance": 0}, "more than 0 and less than 90 degrees, not 0"),
+        ({"normal_tolerance": -1.0}, "not -1.0"),
+        ({"normal_tolerance": 200}, "not 200"),
+        ({"normal_tolerance": float("nan")}, "not nan"),
+        ({"normal_tolerance": 1.0, "method": "slefe"}, "'slefe' knows no normal_tolerance"),
+        ({"normal_tolerance": 1.0, "normals": "tangents"}, "needs tangents="),
+        ({"normals": "tangents"}, "give one"),
+        ({"normal_tolerance": 1.0, "normals": "flat"}, "no kind of normals 'flat'"),
+    ],
+)
+def test_bad_arguments(rng, options, says):
+    with pytest.raises(InputError, match=says):
+        tessellation_factors(sheets(rng, 1, (4, 4, 3)), ABOVE, **options)
+
+
+def test_patches_of_high_degree_have_no_certificate(rng):
+    with pytest.raises(InputError, match="degree 25"):
+        tessellation_factors(sheets(rng, 1, (10, 10, 4)), ABOVE, normal_tolerance=1.0)
