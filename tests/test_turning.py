@@ -144,7 +144,7 @@ def test_more_tiles_are_never_looser(rng):
         assert np.all(np.asarray(fine) <= 1.001 * np.asarray(coarse))
 
 
-@pytest.mark.parametrize("smooth", [None, 0.05])
+@pytest.mark.parametrize("smooth", [None, pytest.param(0.05, marks=pytest.mark.slow)])
 def test_derivatives_are_those_of_finite_differences(rng, smooth):
     patches = sheets(rng, 2, (3, 3, 3))
     along = rng.normal(size=patches.shape)

@@ -69,8 +69,8 @@ def turning(
     def step(found: Turning, matrices: Any) -> Turning:
         tile = _Tile.of(_linear(net, lambda flat: nets.combined(flat, *matrices)), size, maxima)
         own = tile.turning(whole, angle, shapes, tiles, maxima)
-        largest = [maxima.largest([a, b]) for a, b in zip(found[:3], own[:3], strict=True)]
-        return Turning(*largest, found.known & own.known)
+        square, second, corners = (maxima.largest([a, b]) for a, b in zip(found[:3], own[:3], strict=True))
+        return Turning(square, second, corners, found.known & own.known)
 
     given = jax.tree.map(lambda x: jnp.asarray(x, net.dtype), tile_matrices(net.shape[0], net.shape[1], tiles))
     start = Turning(jnp.ones_like(size), jnp.zeros_like(size), jnp.zeros_like(size), size > 0)
