@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from itertools import pairwise
 
 import jax
@@ -230,3 +231,37 @@ def test_bad_arguments(rng, options, says):
 def test_patches_of_high_degree_have_no_certificate(rng):
     with pytest.raises(InputError, match="degree 25"):
         tessellation_factors(sheets(rng, 1, (10, 10, 4)), ABOVE, normal_tolerance=1.0)
+
+
+def test_what_is_known_of_normals_can_be_pickled(rng):
+    found = tessellation_factors(sheets(rng, 2, (4, 4, 3)), ABOVE, normal_tolerance=2.0)
+    edges = found.edges
+    again = pickle.loads(pickle.dumps(found))
+    assert np.array_equal(again.edges, edges)
+    assert np.array_equal(again.scaled(2.0).edges, found.scaled(2.0).edges)
+
+
+@pytest.mark.parametrize("half", [0.0005, 0.003, 2.0**-14])
+def test_short_sides_far_away_are_no_points(half):
+    """Rounding of coordinates may be as long as a side that is seen."""
+    patch = np.array([[[0, -half, 0], [0, half, 0]], [[1, 0, -1], [1, 0, 1]]]) + [1000.0, 0.0, 0.0]
+    patches = patch[None].astype(np.float32)
+    view = View(Camera.orthographic((1000.5, -5, 0), (1000.5, 0, 0), up=(0, 0, 1), height=4.0), 300, 300)
+    assert not collapsed_sides(patches).any()
+    with jax.enable_x64(False):
+        found = tessellation_factors(patches, view, tolerance=1e9, normal_tolerance=1.0)
+    n = np.ceil(found.factor).astype(int)
+    assert np.all(np.asarray(found.without_normal)) or sj.sampled_normal_error(patches, n, view).max() <= 1.0
+
+
+def test_sides_that_rounding_leaves_are_points(rng):
+    patches = sheets(rng, 2, (4, 4, 4), steep=0.05)
+    corner = patches[:, 0, :1, :3] / patches[:, 0, :1, 3:]
+    patches[:, 0, :, :3] = patches[:, 0, :, 3:] * corner
+    patches[1, 0, :, :3] *= 1.0 + 1e-7
+    assert collapsed_sides(patches)[:, 0].tolist() == [True, True]
+    patches[1, 0, 1, :3] *= 1.0 + 1e-7
+    assert collapsed_sides(patches)[:, 0].tolist() == [True, False]
+    found = tessellation_factors(patches, ABOVE, tolerance=1e6, normal_tolerance=2.0)
+    assert not np.asarray(found.without_normal)[0]
+    assert sj.sampled_normal_error(patches, np.ceil(found.factor).astype(int), ABOVE)[0] <= 2.0

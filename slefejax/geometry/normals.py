@@ -29,12 +29,16 @@ from slefejax.lanes.nets import total
 
 NORMALS = ("surface", "tangents")
 """Which normals are drawn: those of the surface, or of tangent patches beside it (docs/math.md, 4)."""
-_STILL = 64.0  # eps of the patch's longest tangent: tangents along a side that are shorter are 0
-_POINT = 64.0  # eps of coordinates: a side that is smaller is a point
+# Sides are points that are no longer than rounding makes them: of coordinates, and beside the patch nothing
+_ROUNDED = 64.0  # eps of coordinates
+_NOTHING = 1e-9, 4.0  # of the patch's size, or so many eps of it if that is more
 
 
 def collapsed_sides(patches: Patches) -> Bool[Array | np.ndarray, "patches 4"]:
     """Which sides of patches are points: u=0, v=0, u=1, v=1, in OpenGL's order.
+
+    Those whose control points are equal, but for rounding: by 64 eps of their coordinates at most, and by a billionth
+    of the patch's size (in single precision by 4 eps of it).
 
     >>> fan = np.array([[[0, 0, 0], [0, 0, 0]], [[1, 0, 0], [0, 1, 0]]], float)
     >>> collapsed_sides(fan[None]).tolist()
@@ -43,12 +47,41 @@ def collapsed_sides(patches: Patches) -> Bool[Array | np.ndarray, "patches 4"]:
     given = patches.net if isinstance(patches, GregoryPatches) else patches
     given = given if isinstance(given, Tracer) else np.asarray(given)
     xp = array_module(given)
-    exact = float(xp.finfo(given.dtype).eps) if jnp.issubdtype(given.dtype, jnp.floating) else 0.0
+    eps = float(xp.finfo(given.dtype).eps) if jnp.issubdtype(given.dtype, jnp.floating) else 0.0
     points = given[..., :3] / given[..., 3:] if given.shape[-1] == 4 else given
     sides = points[:, 0], points[:, :, 0], points[:, -1], points[:, :, -1]
-    spread = [side.max(axis=1) - side.min(axis=1) for side in sides]
-    size = [xp.abs(side).max(axis=(1, 2))[:, None] for side in sides]
-    return xp.stack([(a <= _POINT * exact * b).all(axis=-1) for a, b in zip(spread, size, strict=True)], axis=1)
+    own = _extent(points.reshape(len(points), -1, 3)) * max(_NOTHING[0], _NOTHING[1] * eps)
+    rounded = [_ROUNDED * eps * xp.abs(side).max(axis=(1, 2)) for side in sides]
+    return xp.stack([_extent(side) <= xp.minimum(own, most) for side, most in zip(sides, rounded, strict=True)], axis=1)
+
+
+def _extent(points: Values) -> Values:
+    """The largest extent of points ``(patches, points, 3)`` along an axis."""
+    return (points.max(axis=1) - points.min(axis=1)).max(axis=-1)
+
+
+def with_points(control: Values, collapsed: Values) -> Values:
+    """Patches whose sides that are points are exactly that.
+
+    control   : ``(du+1, dv+1, 3 or 4, ...)``
+    collapsed : four masks ``(...)``, of u=0, v=0, u=1, v=1
+
+    >>> fan = np.array([[[0, 0, 0], [0, 0, 1e-17]], [[1, 0, 0], [0, 1, 0]]], float)[..., None]
+    >>> with_points(fan, np.array([[True], [False], [False], [False]]))[0, 1].ravel().tolist()
+    [0.0, 0.0, 0.0]
+    """
+    xp = array_module(control)
+    for side, which in enumerate(collapsed):
+        net = xp.moveaxis(control, side % 2, 0)
+        net = net[::-1] if side > 1 else net
+        first = net[:1, :1]
+        if net.shape[2] == 4:
+            # an own weight is kept as it is
+            weights = net[:1, :, 3:]
+            first = xp.concatenate([weights * (first[:, :, :3] / first[:, :, 3:]), weights], axis=2)
+        net = xp.concatenate([xp.where(which, xp.broadcast_to(first, net[:1].shape), net[:1]), net[1:]])
+        control = xp.moveaxis(net[::-1] if side > 1 else net, 0, side % 2)
+    return control
 
 
 def normal_net(control: Values) -> Values:
@@ -269,6 +302,8 @@ def _checked(shape: tuple[int, ...], tangents: Any) -> TangentNets:
 def still_sides(tangents: TangentNets) -> Bool[np.ndarray, "patches 4"]:
     """Along which sides u=0, v=0, u=1, v=1 the tangents in their direction are 0, as where a patch's side is a point.
 
+    Or no longer than a billionth of the patch's longest (in single precision 4 eps of it).
+
     >>> along_u, along_v = np.ones((1, 1, 2, 3)), np.array([0.0, 1.0]).reshape(1, 2, 1, 1) * np.ones(3)
     >>> still_sides(TangentNets(along_u, along_v)).tolist()
     [[True, False, False, False]]
@@ -278,4 +313,26 @@ def still_sides(tangents: TangentNets) -> Bool[np.ndarray, "patches 4"]:
     most = xp.maximum(*(net.max(axis=(1, 2, 3)) for net in (u, v)))
     eps = max(float(xp.finfo(net.dtype).eps) for net in tangents)
     sides = v[:, 0], u[:, :, 0], v[:, -1], u[:, :, -1]
-    return xp.stack([side.max(axis=(1, 2)) <= _STILL * eps * most for side in sides], axis=1)
+    nothing = max(_NOTHING[0], _NOTHING[1] * eps) * most
+    return xp.stack([side.max(axis=(1, 2)) <= nothing for side in sides], axis=1)
+
+
+def with_still(tangents: Any, still: Values) -> tuple[Values, Values]:
+    """Tangent nets ``(du, dv+1, 3, ...)`` and ``(du+1, dv, 3, ...)`` that are exactly 0 along sides where they are.
+
+    still : four masks ``(...)``, of u=0, v=0, u=1, v=1
+
+    >>> ones = np.ones((1, 2, 3, 1)), np.ones((2, 1, 3, 1))
+    >>> with_still(ones, np.array([[True], [False], [False], [False]]))[1][:, 0, 0, 0].tolist()
+    [0.0, 1.0]
+    """
+    along_u, along_v = tangents
+    xp = array_module(along_u, along_v)
+
+    def own(net: Values, early: Values, late: Values) -> Values:
+        """Along the first axis."""
+        ends = xp.where(early, xp.zeros_like(net[:1]), net[:1]), xp.where(late, xp.zeros_like(net[-1:]), net[-1:])
+        return xp.concatenate([ends[0], net[1:-1], ends[1]]) if len(net) > 1 else net
+
+    along_u = xp.moveaxis(own(xp.moveaxis(along_u, 1, 0), still[1], still[3]), 0, 1)
+    return along_u, own(along_v, still[0], still[2])

@@ -21,7 +21,14 @@ from jaxtyping import Bool, Float
 from slefejax.arguments import Patches, check_concrete, check_patches, on_host
 from slefejax.geometry.evaluate import as_control
 from slefejax.geometry.gregory import Twisted
-from slefejax.geometry.normals import collapsed_sides, kind_of_normals, still_sides, tangent_nets
+from slefejax.geometry.normals import (
+    collapsed_sides,
+    kind_of_normals,
+    still_sides,
+    tangent_nets,
+    with_points,
+    with_still,
+)
 from slefejax.geometry.tangents import tangents as tangents_of
 from slefejax.geometry.view import View, homogeneous
 from slefejax.lanes.tuning import TUNING
@@ -110,16 +117,26 @@ def shaded(patches: Any, view: View, normals: str = "surface", tangents: Any = N
     there, given = Surface.of(patches, view), on_host(patches)
     nets = tangent_nets(given, kind_of_normals(normals), tangents)
     if nets is None:
-        shape, still, quantity = _of_one_size(as_control(given)), collapsed_sides(given), _NORMAL
+        still, quantity = np.asarray(collapsed_sides(given)), _NORMAL
+        shape = _of_one_size(_pointed(as_control(given), still))
     else:
-        shape, still, quantity = tuple(own / _largest(own) for own in nets), still_sides(nets), _TANGENT
-    control = _Shaded(there.control, *patches_last((shape, _distances(np.asarray(still)))))
+        still, quantity = np.asarray(still_sides(nets)), _TANGENT
+        along = with_still([np.moveaxis(own, 0, -1) for own in nets], still.T)
+        shape = tuple(np.moveaxis(own, -1, 0) / _largest(np.moveaxis(own, -1, 0)) for own in along)
+    control = _Shaded(there.control, *patches_last((shape, _distances(still))))
     return Surface(control, there.size, quantity)
 
 
 def vanishing(surface: Surface) -> Surface:
     """The same patches; their worst points are where normals are smallest."""
     return surface._replace(quantity=surface.quantity._replace(error=_smallness))
+
+
+def _pointed(control: Any, collapsed: np.ndarray) -> Any:
+    """Patches whose sides that are points are exactly that."""
+    net, twists = control if isinstance(control, Twisted) else (control, None)
+    net = np.moveaxis(with_points(np.moveaxis(np.asarray(net, np.float64), 0, -1), collapsed.T), -1, 0)
+    return net if twists is None else Twisted(net, twists)
 
 
 def _of_one_size(control: Any) -> Any:

@@ -70,8 +70,8 @@ class Pictured(NamedTuple):
         control, twists, sizes, floor = _filled((self.control, self.twists, self.sizes, self.floor), count)
         return np.moveaxis(control, -1, 0), np.moveaxis(twists, -1, 0), self.half, sizes, floor, self.rows
 
-    @property
-    def programs(self) -> dict[str, passes.Pass]:
+    @staticmethod
+    def programs() -> dict[str, passes.Pass]:
         """For parts of them, by the kind of part."""
         return ERRORS
 
@@ -88,8 +88,8 @@ class Turned(NamedTuple):
         net, sizes = _filled((self.net, self.sizes), count)
         return np.moveaxis(net, -1, 0), sizes, np.float64(self.angle)
 
-    @property
-    def programs(self) -> dict[str, passes.Pass]:
+    @staticmethod
+    def programs() -> dict[str, passes.Pass]:
         """As of ``Pictured``."""
         return TURNS
 
@@ -112,14 +112,14 @@ class Pictures:
         self._make = make
         self._place = np.full(count, -1)
         self._pages: list[tuple[Any, ...]] = []
-        self._programs: dict[str, passes.Pass] = {}
+        self._made_of: type[Pictured | Turned] = Pictured
 
     def errors(self, kind: str, patch: Int[np.ndarray, "n"], *numbers: np.ndarray) -> Float[np.ndarray, "n"]:
         """At most how far parts of a kind err, over what is allowed; numbers ``(n, ...)`` tell which parts."""
         if not len(patch):
             return np.zeros(0)
         self._look_for(patch)
-        compiled = self._programs[kind]
+        compiled = self._made_of.programs()[kind]
         page, place = np.divmod(self._place[patch], TUNING.page)
         items, found = np.column_stack([place, *numbers]).astype(np.float64), np.empty(len(patch))
         which = _blocks(page, TUNING.cells)
@@ -138,7 +138,7 @@ class Pictures:
             made = self._make(own)
             self._place[own] = len(self._pages) * TUNING.page + np.arange(len(own))
             with jax.enable_x64(True):
-                page, self._programs = made.page(TUNING.page), made.programs
+                page, self._made_of = made.page(TUNING.page), type(made)
                 self._pages.append(tuple(x if isinstance(x, int) else jnp.asarray(x) for x in page))
 
 

@@ -23,6 +23,8 @@ from slefejax.geometry.normals import (
     crossed,
     normal_net,
     still_sides,
+    with_points,
+    with_still,
     without_collapsed,
 )
 from slefejax.geometry.packed import Packed
@@ -47,7 +49,7 @@ class Surfaces(NamedTuple):
 
     def undivided(self) -> tuple[Any, Any]:
         """Their normals, at any scale, and the size of a coordinate, to which rounding errors are proportional."""
-        near, size = _relative(self.control)
+        near, size = _relative(with_points(self.control, self.collapsed))
         (nu, nv), divided = near.shape[:2], self.collapsed.sum(axis=0)
         return without_collapsed(normal_net(near), self.collapsed), size * (3.0 * max(nu, nv)) ** divided
 
@@ -75,7 +77,7 @@ class Tangents(NamedTuple):
 
     def undivided(self) -> tuple[Any, Any]:
         """As of ``Surfaces``."""
-        near = [net / _largest(net) for net in self[:2]]
+        near = [net / _largest(net) for net in with_still(self[:2], self.still)]
         (nu, nv), divided = near[1].shape[:2], self.still.sum(axis=0)
         size = array_module(*near).full_like(near[0][0, 0, 0], 2.0) * (3.0 * max(nu, nv)) ** divided
         return without_collapsed(crossed(*near), self.still), size

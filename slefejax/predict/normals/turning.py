@@ -83,7 +83,7 @@ class _Tile(NamedTuple):
     net: Vectors
     axis: Array  # (3, lanes): m
     w: Numbers  # N . m
-    over: Numbers  # 1 over it
+    over: Numbers  # 1 over the least that it may be
     deep: Lanes  # it is positive
     widest: Lanes  # 1 over the least of it
     reach: Lanes  # how far N over it is from m
@@ -100,10 +100,10 @@ class _Tile(NamedTuple):
         w = _along(net, axis)
         least = nets.bottom(w) - error
         deep = least > 0
-        w, over = loops.once((w, 1.0 / jnp.where(deep, w, 1.0)))
+        w, over = loops.once((jnp.where(deep, w, 1.0), 1.0 / jnp.where(deep, w - error, 1.0)))
         widest = 1.0 / jnp.where(deep, least, 1.0)
         reach = _longest(net * over[:, :, None] - axis, maxima) + error * widest
-        (a, b), (c, d) = ends = [[net[i, j] * over[i, j] for j in (0, -1)] for i in (0, -1)]
+        (a, b), (c, d) = ends = [[net[i, j] / w[i, j] for j in (0, -1)] for i in (0, -1)]
         about = loops.once(_bilinear(ends, *nets.degrees(net)))
         slopes = [larger(_length(p), _length(q)) for p, q in ((c - a, d - b), (b - a, d - c))]
         return _Tile(net, axis, w, over, deep, widest, reach, error, about, (slopes[0], slopes[1]))
