@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from functools import partial
 from itertools import pairwise
 
 import jax
@@ -18,7 +19,7 @@ from slefejax.predict.cells import Pictures, Turned, cell_errors, triangle_error
 from slefejax.predict.normals.turning import turning
 
 ABOVE = View(Camera.orthographic((0.0, 0.0, 50.0), (0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0), height=40.0), 300, 300)
-SHAPES = [(2, 2, 3), (3, 4, 3), (4, 4, 3), (3, 3, 4)]
+SHAPES = [(4, 4, 3), (3, 3, 4), *(pytest.param(own, marks=pytest.mark.slow) for own in ((2, 2, 3), (3, 4, 3)))]
 
 
 def sheets(rng, count, shape, steep=0.2):
@@ -75,7 +76,7 @@ def test_grids_keep_the_angle(rng, shape):
                 assert on_grid(net, n) <= allowed
 
 
-@pytest.mark.parametrize("side", range(4))
+@pytest.mark.parametrize("side", [0, *(pytest.param(side, marks=pytest.mark.slow) for side in (1, 2, 3))])
 def test_sides_that_are_points_have_claims(rng, side):
     patches = sheets(rng, 6, (4, 4, 3), steep=0.05)
     if side % 2 == 0:
@@ -140,25 +141,35 @@ def test_verify_finds_smaller_factors_that_hold(rng):
 
 def test_more_tiles_are_never_looser(rng):
     nets = jnp.asarray(np.moveaxis(undivided(sheets(rng, 16, (4, 4, 3))), 0, -1))
-    squares = [turning(nets, jnp.ones(16), 0.02, tiles=tiles).factor for tiles in (1, 2, 4, 8)]
+    squares = [turning(nets, jnp.ones(16), 0.02, tiles=tiles).factor for tiles in (1, 4)]
     for coarse, fine in pairwise(squares):
         assert np.all(np.asarray(fine) <= 1.001 * np.asarray(coarse))
 
 
+def total_factor(patches, along, smooth, step, degrees):
+    """Of patches moved along, cut for an angle."""
+    asked = {"tolerance": 1e6, "tiles": 1, "smooth": smooth}
+    return jnp.sum(tessellation_factors(patches + step * along, ABOVE, normal_tolerance=degrees, **asked).factor)
+
+
 @pytest.mark.parametrize("smooth", [None, pytest.param(0.05, marks=pytest.mark.slow)])
 def test_derivatives_are_those_of_finite_differences(rng, smooth):
-    patches = sheets(rng, 2, (3, 3, 3))
-    along = rng.normal(size=patches.shape)
-
-    def total(step, degrees):
-        asked = {"tolerance": 1e6, "tiles": 1, "smooth": smooth}
-        return jnp.sum(tessellation_factors(patches + step * along, ABOVE, normal_tolerance=degrees, **asked).factor)
-
-    step = 1e-6
+    patches, step = sheets(rng, 2, (3, 3, 3)), 1e-6
+    total = partial(total_factor, patches, rng.normal(size=patches.shape), smooth)
     with jax.enable_x64(True):
-        found = jax.grad(total, (0, 1))(0.0, 1.0)
+        found = [jax.jvp(total, (0.0, 1.0), along)[1] for along in ((1.0, 0.0), (0.0, 1.0))]
         wanted = [float(total(*ends[0]) - total(*ends[1])) / (2 * step) for ends in _beside(0.0, 1.0, step)]
     np.testing.assert_allclose(found, wanted, rtol=2e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("smooth", [None, 0.05])
+def test_derivatives_in_reverse_are_those_forward(rng, smooth):
+    patches = sheets(rng, 2, (3, 3, 3))
+    total = partial(total_factor, patches, rng.normal(size=patches.shape), smooth)
+    with jax.enable_x64(True):
+        forward = [jax.jvp(total, (0.0, 1.0), along)[1] for along in ((1.0, 0.0), (0.0, 1.0))]
+        np.testing.assert_allclose(jax.grad(total, (0, 1))(0.0, 1.0), forward, rtol=1e-9)
 
 
 def _beside(x, y, step):
@@ -265,3 +276,16 @@ def test_sides_that_rounding_leaves_are_points(rng):
     found = tessellation_factors(patches, ABOVE, tolerance=1e6, normal_tolerance=2.0)
     assert not np.asarray(found.without_normal)[0]
     assert sj.sampled_normal_error(patches, np.ceil(found.factor).astype(int), ABOVE)[0] <= 2.0
+
+
+def test_points_far_apart_beside_points_close_together(rng):
+    """In single precision differences of points are as good as the points, whatever lies beside them."""
+    patches = sheets(rng, 6, (4, 4, 3), steep=0.01)
+    patches[..., 0] = np.where(patches[..., 0] > 0.9, 1000.0, 0.01 * patches[..., 0])
+    patches = patches.astype(np.float32)
+    with jax.enable_x64(False):
+        found = tessellation_factors(patches, ABOVE, tolerance=1e6, normal_tolerance=1.0)
+    claimed = ~np.asarray(found.without_normal)
+    for net, factor in zip(undivided(patches)[claimed], np.asarray(found.factor)[claimed], strict=True):
+        if factor <= 25:
+            assert on_grid(net, int(np.ceil(factor))) <= 1.0

@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 from slefejax.arguments import on_host
 from slefejax.errors import InputError
+from slefejax.geometry.bezier import derivative
 from slefejax.geometry.normals import (
     TangentNets,
     array_module,
@@ -49,23 +50,33 @@ class Surfaces(NamedTuple):
 
     def undivided(self) -> tuple[Any, Any]:
         """Their normals, at any scale, and the size of a coordinate, to which rounding errors are proportional."""
-        near, size = _relative(with_points(self.control, self.collapsed))
-        (nu, nv), divided = near.shape[:2], self.collapsed.sum(axis=0)
-        return without_collapsed(normal_net(near), self.collapsed), size * (3.0 * max(nu, nv)) ** divided
+        control = with_points(self.control, self.collapsed)
+        if control.shape[2] == 3:
+            return Tangents(*_tangents(control), self.collapsed).undivided()
+        near, size = _relative(control)
+        return without_collapsed(normal_net(near), self.collapsed), size * _grown(self.collapsed, near.shape)
+
+
+def _tangents(control: Any) -> tuple[Any, Any]:
+    """Nets of the derivatives by u and by v. Differences of points that are given are as good as these."""
+    return derivative(control), derivative(control.swapaxes(0, 1)).swapaxes(0, 1)
 
 
 def _relative(control: Any) -> tuple[Any, Any]:
-    """Control points from a corner, with coordinates up to 1, and how large coordinates of their normals may be."""
-    xp, (nu, nv, dim) = array_module(control), control.shape[:3]
-    if dim == 4:
-        corner = control[:1, :1, :3] / control[:1, :1, 3:]
-        points, weights = control[:, :, :3] - control[:, :, 3:] * corner, control[:, :, 3:]
-        near = xp.concatenate([points / _largest(points), weights / _largest(weights)], axis=2)
-        return near, xp.full_like(control[0, 0, 0], 6.0 * (nu - 1) * (nv - 1))
-    points = control - control[:1, :1]
-    near = points / _largest(points)
-    steps = _largest(near[1:] - near[:-1]) * _largest(near[:, 1:] - near[:, :-1])
-    return near, 2.0 * (nu - 1) * (nv - 1) * steps
+    """Rational patches from a corner, with coordinates up to 1, and how large coordinates of their normals may be.
+
+    Larger where weights times the corner, which are taken off, are large beside what is left.
+    """
+    xp, (nu, nv) = array_module(control), control.shape[:2]
+    corner, weights = control[:1, :1, :3] / control[:1, :1, 3:], control[:, :, 3:]
+    points = control[:, :, :3] - weights * corner
+    near = xp.concatenate([points / _largest(points), weights / _largest(weights)], axis=2)
+    return near, 6.0 * (nu - 1) * (nv - 1) * (1.0 + _largest(weights * corner) / _largest(points))
+
+
+def _grown(divided: Any, shape: tuple[int, ...]) -> Any:
+    """By how much dividing by distances from sides lets rounding errors grow at most."""
+    return (3.0 * max(shape[:2])) ** divided.sum(axis=0)
 
 
 class Tangents(NamedTuple):
@@ -78,8 +89,7 @@ class Tangents(NamedTuple):
     def undivided(self) -> tuple[Any, Any]:
         """As of ``Surfaces``."""
         near = [net / _largest(net) for net in with_still(self[:2], self.still)]
-        (nu, nv), divided = near[1].shape[:2], self.still.sum(axis=0)
-        size = array_module(*near).full_like(near[0][0, 0, 0], 2.0) * (3.0 * max(nu, nv)) ** divided
+        size = array_module(*near).full_like(near[0][0, 0, 0], 2.0) * _grown(self.still, near[1].shape)
         return without_collapsed(crossed(*near), self.still), size
 
 
@@ -185,13 +195,22 @@ class Shading:
     @property
     def _chunks(self) -> Surfaces | Tangents:
         if self.tangents is not None:
-            kept = [own.astype(self.packed.dtype) for own in self.tangents]
-            along_u, along_v, still = (layout.pack(own, TUNING.turned) for own in (*kept, self._still))
-            return Tangents(along_u, along_v, still)
+            return self._packed_tangents(self.tangents)
         control = self.packed.chunks
         if self.packed.rounded and self.packed.given is not None:
-            control = layout.pack(_from_corners(self.packed), control.shape[-1])
+            # what is lost of coordinates may be much of their differences
+            given = np.moveaxis(np.asarray(self.packed.given, np.float64), 0, -1)
+            given = with_points(given, np.asarray(self._still).T)
+            if given.shape[2] == 3:
+                return self._packed_tangents([np.moveaxis(own, -1, 0) for own in _tangents(given)])
+            near = np.moveaxis(_relative(given)[0], -1, 0).astype(self.packed.dtype)
+            control = layout.pack(near, control.shape[-1])
         return Surfaces(control, layout.pack(self._still, control.shape[-1]))
+
+    def _packed_tangents(self, tangents: Any) -> Tangents:
+        every = (*(own.astype(self.packed.dtype) for own in tangents), self._still)
+        along_u, along_v, still = (layout.pack(own, TUNING.turned) for own in every)
+        return Tangents(along_u, along_v, still)
 
     @cached_property
     def _still(self) -> Bool[Array | np.ndarray, "patches 4"]:
@@ -220,11 +239,3 @@ class Shading:
             given = Tangents(along_u, along_v, np.asarray(self._still)[which].T)
         net, size = given.undivided()
         return Turned(net, size, float(np.deg2rad(float(self.degrees))))
-
-
-def _from_corners(packed: Packed) -> np.ndarray:
-    """Control points from a corner of each patch, which loses nothing where they are rounded."""
-    given = np.asarray(packed.given, np.float64)
-    corner = given[:, :1, :1, :3] / (given[:, :1, :1, 3:] if given.shape[-1] == 4 else 1.0)
-    weights = given[..., 3:] if given.shape[-1] == 4 else 1.0
-    return np.concatenate([given[..., :3] - weights * corner, given[..., 3:]], axis=-1).astype(packed.dtype)
