@@ -7,7 +7,7 @@ import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -16,6 +16,7 @@ import tyro
 
 from slefejax.conversion.acc import ALPHA
 from slefejax.errors import InputError
+from slefejax.experiments.shading import ShadingOptions, both_tolerances
 from slefejax.framing import clipping_planes
 from slefejax.geometry.gregory import GregoryPatches
 from slefejax.geometry.view import Camera, View, bounding_sphere
@@ -215,6 +216,7 @@ class PredictionOptions:
     """Of edge-length: pixels a piece, 8 if not given; of screen-box: mu, pixels, 1; of fixed: the factor, 16."""
     smooth: float | None = None
     """Of certified and slefe: the temperature of soft maxima, 0 to 1; exact ones if not given."""
+    shading: tyro.conf.OmitArgPrefixes[ShadingOptions] = field(default_factory=ShadingOptions)
 
     def value(self) -> Method:
         """The method with its numbers. Raises InputError for those that it does not have."""
@@ -225,8 +227,14 @@ class PredictionOptions:
             return method_of(self.method, own)
 
     def arguments(self) -> Options:
-        """Keyword arguments for tessellation_factors."""
-        return {"method": self.value(), "tolerance": self.tolerance, "depth_tolerance": self.depth_tolerance}
+        """Keyword arguments for tessellation_factors, but for tangent patches (``shading.of``)."""
+        own: Options = {"method": self.value(), "tolerance": self.tolerance, "depth_tolerance": self.depth_tolerance}
+        return {**own, **self.shading.arguments()}
+
+    @property
+    def asked(self) -> str:
+        """The tolerances, as titles say them."""
+        return both_tolerances(self.tolerance, self.shading.degrees)
 
     def request(self, scene: Scene) -> Request:
         """The same as values, for the scene's patches."""
@@ -289,9 +297,9 @@ def own_modules(*names: str) -> Iterator[None]:
 def option_names(command: Any) -> set[str]:
     """The parameters that a command, or its class, has as options, those of its groups of options too."""
     found = set()
-    for field in fields(command):
-        group = field.default_factory
-        found |= option_names(group) if is_dataclass(group) else {field.name}
+    for part in fields(command):
+        group = part.default_factory
+        found |= option_names(group) if is_dataclass(group) else {part.name}
     return found
 
 

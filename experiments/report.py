@@ -28,6 +28,8 @@ HEADINGS = {
     "share_above_1": "> 1 px",
     "covered_pixels": "pixels",
     "max_error_px": "largest px",
+    "max_normal_error_deg": "normals °",
+    "patches_without_normal": "no normal",
     "slipped_pixels": "slipped",
     "max_slip_px": "slip px",
     "slefe_triangles": "slefe: triangles",

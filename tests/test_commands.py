@@ -130,6 +130,16 @@ OPTIONS = [
     (["teapot", "--tolerance", "0"], "--tolerance must be a positive number, not 0.0"),
     (["teapot", "--depth-tolerance", "-1"], "--depth-tolerance must be a positive number, not -1.0"),
     (["teapot", "--method", "filip", "--depth-tolerance", "1"], "method 'filip' knows no --depth-tolerance"),
+    *(
+        (
+            ["teapot", "--normal-tolerance", angle],
+            f"--normal-tolerance must be more than 0 and less than 90 degrees, not {said}",
+        )
+        for angle, said in (("0", "0.0"), ("-1", "-1.0"), ("200", "200.0"), ("nan", "nan"))
+    ),
+    (["teapot", "--normals", "tangents"], "--normals says which normals --normal-tolerance is for: give that, too"),
+    (["teapot", "--normals", "tangents", "--normal-tolerance", "1"], "only those have tangent patches"),
+    (["teapot", "--method", "filip", "--normal-tolerance", "1"], "method 'filip' knows no --normal-tolerance"),
     (["teapot", "--method", "slefe", "--verify"], "method 'slefe' has no --verify: its own are segments, k, smooth"),
     (["teapot", "--method", "filip", "--smooth", "0.1"], "method 'filip' has no --smooth: it has nothing to set"),
     (["teapot", "--smooth", "2"], "--smooth is a temperature of at most 1, not 2.0"),

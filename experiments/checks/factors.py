@@ -18,6 +18,7 @@ from slefejax.experiments.options import (
     rounding_notes,
 )
 from slefejax.experiments.report import Report
+from slefejax.experiments.shading import unclaimed
 from slefejax.experiments.store import Run
 from slefejax.predict.methods import Certified
 from slefejax.tessellator.edges import EDGES
@@ -39,8 +40,9 @@ class FactorsOfScene:
         """Predict and list."""
         scene = self.loading.load(self.scene)
         view = self.camera.view(scene)
+        options, shaded = self.prediction.arguments(), self.prediction.shading.of(scene)
         factors = tessellation_factors(
-            scene.patches(), view, edge_numbers=scene.edge_numbers, **self.prediction.arguments()
+            scene.patches(), view, edge_numbers=scene.edge_numbers, tangents=shaded.tangents, **options
         )
         triangles = triangle_counts(factors.inner, factors.edges)
         rows = []
@@ -53,8 +55,11 @@ class FactorsOfScene:
             f"{scene.name}: {len(rows)} patches, sum of factors {total['sum_of_factors']:.3f},"
             f" {total['triangles']:,} triangles"
         )
+        if factors.without_normal is not None:
+            total["patches_without_normal"] = count = int(np.count_nonzero(factors.without_normal))
+            title += f", normals within {shaded.degrees:g}°" + (f" on all but {count} patches" if count else "")
         rounding = rounding_notes(scene, view, self.prediction.tolerance) if self._proved() else ()
-        notes = (*scene.notes, *_beyond(factors.levels), *rounding)
+        notes = (*scene.notes, *_beyond(factors.levels), *rounding, *unclaimed(factors.without_normal))
         arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
         with Run("factors", arguments, self.output.out, {"process": os.getpid()}) as run:
             out = run.finish(rows, {"scene": scene.name, "notes": notes, **total})

@@ -9,11 +9,24 @@ from typing import Any
 
 import numpy as np
 
-from slefejax import Factors, Scene, View, minimal_factors, sampled_error, triangle_error
+from slefejax import (
+    Factors,
+    Scene,
+    View,
+    minimal_factors,
+    sampled_error,
+    sampled_normal_error,
+    triangle_error,
+    triangle_normal_error,
+)
+from slefejax.experiments.shading import Shaded
 from slefejax.experiments.studies.times import milliseconds
 from slefejax.gpu import GBuffer, Renderer, Triangles
-from slefejax.measure.error import drawn_error
+from slefejax.measure.error import drawn_error, normal_error
+from slefejax.predict.methods import Certified
 from slefejax.tessellator.levels import HIGHEST_LEVEL, pieces
+
+NO_NORMALS = Shaded()
 
 
 class Shown:
@@ -21,23 +34,49 @@ class Shown:
 
     tolerance : in pixels, of the minimal factors
     settled   : hears of how many patches the minimal factor is known
+    shaded    : which normals have to be right, too, of the minimal factors
+    without   : ``(patches,)``, whose normals have no claim; a method's factors say so (``heard``)
     """
 
     def __init__(
-        self, scene: Scene, view: View, tolerance: float, settled: Callable[[int], None] | None = None
+        self,
+        scene: Scene,
+        view: View,
+        tolerance: float,
+        settled: Callable[[int], None] | None = None,
+        shaded: Shaded = NO_NORMALS,
     ) -> None:
-        self.scene, self.view, self.tolerance, self._settled = scene, view, tolerance, settled
-        self.patches = scene.patches()
+        self.scene, self.view, self.tolerance, self.shaded = scene, view, tolerance, shaded
+        self.patches, self.without = scene.patches(), np.zeros(len(scene.patches()), bool)
+        self._settled = settled or (lambda _: None)
 
     @cached_property
     def renderer(self) -> Renderer:
         """Of the scene's patches, on the device of this thread."""
-        return Renderer(self.patches)
+        return Renderer(self.patches, **self.shaded.drawn)
+
+    def heard(self, factors: Factors) -> None:
+        """Take over from factors of which patches normals have no claim, if they say so."""
+        if factors.without_normal is not None:
+            self.without = np.asarray(factors.without_normal)
 
     @cached_property
     def minimal(self) -> np.ndarray:
-        """The smallest factors that keep the tolerance, ``(patches,)``."""
-        return minimal_factors(self.patches, self.view, self.tolerance, progress=self._settled)
+        """The smallest factors that keep the tolerances, ``(patches,)``; of normals that have a claim."""
+        if not self.without.any():
+            return self._minimal(self.patches, self.shaded, 0)
+        found, done = np.zeros(len(self.patches), int), 0
+        for which, shaded in ((~self.without, self.shaded), (self.without, NO_NORMALS)):
+            if which.any():
+                found[which] = self._minimal(self.patches[which], shaded.some(which), done)
+                done += int(np.count_nonzero(which))
+        return found
+
+    def _minimal(self, patches: Any, shaded: Shaded, done: int) -> np.ndarray:
+        kept = shaded.asked(Certified())
+        return minimal_factors(
+            patches, self.view, self.tolerance, progress=lambda count: self._settled(done + count), **kept
+        )
 
     @cached_property
     def reference(self) -> GBuffer:
@@ -111,6 +150,26 @@ class Look:
     def worst(self) -> np.ndarray:
         """The largest error of every patch over the triangles that were made; pixels."""
         return triangle_error(self.patches, self.captured, self.view)
+
+    @cached_property
+    def turned(self) -> np.ndarray:
+        """Between drawn and exact normals, of every pixel, in degrees; NaN where nothing is claimed of them."""
+        found = normal_error(self.patches, self.view, self.seen, *self.beside.shaded.kind)
+        return np.where(np.append(self.beside.without, True)[self.seen.patch], np.nan, found)
+
+    @cached_property
+    def uniform_turned(self) -> np.ndarray:
+        """The largest angle of every patch over its domain, as ``uniform``; NaN where nothing is claimed."""
+        own = self.with_factors
+        levels = own.levels if own.pairs is None else own.pairs
+        found = sampled_normal_error(self.patches, levels, self.view, *self.beside.shaded.kind)
+        return np.where(self.beside.without, np.nan, found)
+
+    @cached_property
+    def worst_turned(self) -> np.ndarray:
+        """The same over the triangles that were made."""
+        found = triangle_normal_error(self.patches, self.captured, self.view, *self.beside.shaded.kind)
+        return np.where(self.beside.without, np.nan, found)
 
     @property
     def with_factors(self) -> Factors:

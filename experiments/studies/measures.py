@@ -83,6 +83,27 @@ def slips(seen: GBuffer) -> Row:
     }
 
 
+@measure("max_normal_error_deg", "patches_without_normal")
+def normals(look: Look) -> Row:
+    """The largest angle between drawn and exact normals of pixels, and of how many patches nothing is claimed."""
+    return {
+        "max_normal_error_deg": largest(look.turned),
+        "patches_without_normal": int(np.count_nonzero(look.beside.without)),
+    }
+
+
+@measure("_without_normal")
+def without_normal(look: Look) -> Row:
+    """The numbers of the patches of whose normals nothing is claimed."""
+    return {"_without_normal": np.flatnonzero(look.beside.without).tolist()}
+
+
+def largest(values: np.ndarray) -> float:
+    """Of those that are numbers; NaN if none is."""
+    known = values[~np.isnan(values)]
+    return float(known.max()) if known.size else float("nan")
+
+
 @measure("sup_error_px", "drawn_sup_error_px")
 def domain(look: Look) -> Row:
     """The largest error over the domain, cut uniformly and as the tessellator draws it."""

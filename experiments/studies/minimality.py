@@ -22,15 +22,26 @@ from slefejax.experiments.options import (
     columns_of,
 )
 from slefejax.experiments.report import Report
+from slefejax.experiments.shading import Shaded, unclaimed
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.experiments.studies.look import Look, Shown
-from slefejax.experiments.studies.measures import Measure, measure, pixels, rendering, size, triangles_over_minimal
+from slefejax.experiments.studies.measures import (
+    Measure,
+    measure,
+    normals,
+    pixels,
+    rendering,
+    size,
+    triangles_over_minimal,
+)
 from slefejax.experiments.studies.study import Case, Study
 from slefejax.figures.error_image import write_error_image
 from slefejax.figures.studies.minimality import write_factor_map, write_minimality_figure
 from slefejax.gpu import Renderer, open_device
 from slefejax.gpu.renderer import check_levels
 from slefejax.predict.factors import predicted
+from slefejax.predict.factors import shaded as shaded_by
+from slefejax.predict.kernel import Prepared
 from slefejax.predict.methods import Request, Slefe, label_of
 from slefejax.tessellator.levels import MOST_LEVEL, with_pieces
 
@@ -55,8 +66,8 @@ class Minimality:
         check_scales(self.scales)
         scene = self.loading.load(self.scene)
         view = self.camera.view(scene)
-        request = self.prediction.request(scene)
-        factors, predict_ms = _predict(scene, view, request)
+        request, shaded = self.prediction.request(scene), self.prediction.shading.of(scene)
+        factors, predict_ms = _predict(scene, view, request, shaded)
         largest = factors.scaled(max(self.scales)).levels
         alone = isinstance(request.method, Slefe) or isinstance(scene.patches(), GregoryPatches)
         beside = None if alone else _estimate(scene, view, request)
@@ -65,36 +76,41 @@ class Minimality:
         arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
         inputs = {"scene": digest(scene.patches().tobytes()), "opengl": device.renderer}
         with Run("minimality", arguments, self.output.out, inputs) as run:
-            renderer = Renderer(scene.patches(), device)
-            shown = Shown(scene, view, self.prediction.tolerance)
+            renderer = Renderer(scene.patches(), device, **shaded.drawn)
+            shown = Shown(scene, view, self.prediction.tolerance, shaded=shaded)
+            shown.heard(factors)
             sweep = _Sweep(shown, factors, beside, self, run, renderer)
             own = columns_of(request.method)
             cases = [Case(scale, {"scale": scale, **own}, partial(sweep.look, scale)) for scale in self.scales]
             times = Measure(("predict_ms",), lambda _: {"predict_ms": predict_ms})
             estimate = () if beside is None else (_estimate_beside,)
-            study = Study(cases, (size, triangles_over_minimal, pixels, rendering, *estimate, times), error_name)
+            turned = (normals,) if shaded else ()
+            measures = (size, triangles_over_minimal, pixels, *turned, rendering, *estimate, times)
+            study = Study(cases, measures, error_name)
             rows = study.rows(run, "rendering")
             sweep.draw_pictures(rows)
+            notes = (*scene.notes, *unclaimed(factors.without_normal))
             record = {
                 "scene": scene.name,
-                "notes": scene.notes,
+                "notes": notes,
                 "opengl": {"renderer": device.renderer, "version": device.version},
                 "sum_of_factors": float(np.sum(factors.factor)),
                 "patches_off_screen": int(np.sum(np.asarray(factors.factor) == 0)),
                 "left_out": self.prediction.left_out(scene),
             }
             out = run.finish(rows, record)
-        title = _title(scene, view, factors)
+        title = _title(scene, view, factors, self.prediction.asked)
         extra = {"sum_of_factors": record["sum_of_factors"]}
-        return Report(scene.name, out, rows, title, scene.notes, extra, self.output.json)
+        return Report(scene.name, out, rows, title, notes, extra, self.output.json)
 
 
-def _predict(scene: Scene, view: View, request: Request) -> tuple[Factors, float]:
+def _predict(scene: Scene, view: View, request: Request, shaded: Shaded) -> tuple[Factors, float]:
     """The factors, and how long they take once compiled (median of 5, milliseconds)."""
 
     def timed() -> tuple[Factors, float]:
         start = time.perf_counter()
-        factors = predicted(request, pack(scene.patches()), view, scene.edge_numbers)
+        prepared = shaded_by(request, Prepared(pack(scene.patches())), *shaded.kind)
+        factors = predicted(request, prepared, view, scene.edge_numbers)
         return factors, time.perf_counter() - start
 
     (factors, _), *others = [timed() for _ in range(6)]
@@ -154,9 +170,9 @@ class _Sweep:
         labels = _labels(patch, np.asarray(self.factors.factor, float))
         write_factor_map(self.run.file("factors.png"), painted, labels)
         images = [self.run.file(error_name(row["scale"])) for row in rows]
-        tolerance = self.options.prediction.tolerance
+        asked = self.options.prediction.asked
         write_minimality_figure(
-            self.run.file("minimality.png"), rows, images, painted, labels, self.shown.scene.name, tolerance
+            self.run.file("minimality.png"), rows, images, painted, labels, self.shown.scene.name, asked
         )
 
 
@@ -187,10 +203,10 @@ def _estimate_beside(look: Any) -> Row:
     return {f"slefe_{name}": found[name] for name in _BESIDE}
 
 
-def _title(scene: Scene, view: View, factors: Factors) -> str:
+def _title(scene: Scene, view: View, factors: Factors, asked: str) -> str:
     assert factors.request is not None
-    total, (method, tolerances, _) = float(np.sum(factors.factor)), factors.request
+    total, method = float(np.sum(factors.factor)), factors.request.method
     return (
         f"{scene.name}: {len(scene.patches())} patches at {view.width}x{view.height},"
-        f" method {label_of(method)}, tolerance {tolerances.pixels:g} px, sum of factors {total:.3f}"
+        f" method {label_of(method)}, tolerance {asked}, sum of factors {total:.3f}"
     )

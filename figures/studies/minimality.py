@@ -44,11 +44,11 @@ def write_minimality_figure(
     factor: np.ndarray,
     labels: list[Label],
     scene: str,
-    tolerance: float,
+    asked: str,
 ) -> None:
     """Everything on one page. ``rows`` and ``images``: one a scale each; ``factor``, ``labels``: ``write_factor_map``.
 
-    tolerance : the error in pixels that the factors were predicted for
+    asked : the tolerances that the factors were predicted for, in words
     """
     columns = 3
     lines = -(-len(rows) // columns)
@@ -69,7 +69,7 @@ def write_minimality_figure(
         first = rows[0]
         figure.suptitle(
             f"{scene}: is the predicted tessellation safe, and would less do?  Factors predicted ({first['method']})"
-            f" for an error of at most {tolerance:g} px are multiplied by a scale,\nthe"
+            f" for an error of at most {asked} are multiplied by a scale,\nthe"
             f" {first['patches']} patches rendered, and each pixel compared with the exact surface: how far is it from"
             " where its texture belongs?",
             fontsize=13,
@@ -109,10 +109,11 @@ def _plot_shares(axes: Axes, rows: list[dict[str, Any]]) -> None:
 
 def _show_errors(axes: Axes, row: dict[str, Any], image: np.ndarray, box: Box) -> None:
     axes.imshow(image[::-1][box], origin="lower", interpolation="nearest")
+    turned = f",  normals {row['max_normal_error_deg']:.2f}° off" if "max_normal_error_deg" in row else ""
     _bare(
         axes,
-        f"scale {row['scale']:g}:  {row['triangles']:,} triangles\n{100 * row['share_above_0.5']:.2g} % of the pixels"
-        f" off by more than ½ px,  worst {row['max_error_px']:.2f} px",
+        f"scale {row['scale']:g}:  {row['triangles']:,} triangles{turned}\n{100 * row['share_above_0.5']:.2g} % of the"
+        f" pixels off by more than ½ px,  worst {row['max_error_px']:.2f} px",
     )
 
 
