@@ -13,7 +13,7 @@ from slefejax import Scene
 from slefejax.errors import InputError
 from slefejax.predict.methods import Certified, Options, Request
 
-CERTIFIED_ALONE = "the tolerance for normals is for certified alone: other methods do not look at normals"
+FOR_CERTIFIED = "the tolerance for normals is for certified and minimal factors alone: no other method looks at normals"
 _NAMED = 5  # patches that a note names
 
 
@@ -79,10 +79,13 @@ class Shaded:
             return {}
         return {"normal_tolerance": self.degrees, "normals": self.normals, "tangents": self.tangents}
 
+    def moved(self, tangents: Any) -> Shaded:
+        """In another pose, with its tangent patches."""
+        return Shaded(self.degrees, self.normals, tangents)
+
     def some(self, which: np.ndarray) -> Shaded:
         """Of some of the patches."""
-        tangents = None if self.tangents is None else tuple(np.asarray(net)[which] for net in self.tangents)
-        return Shaded(self.degrees, self.normals, tangents)
+        return self.moved(None if self.tangents is None else tuple(np.asarray(net)[which] for net in self.tangents))
 
 
 def both_tolerances(pixels: float, degrees: float | None) -> str:
@@ -102,7 +105,12 @@ def unclaimed(without: Bool[Array | np.ndarray, "patches"] | None) -> tuple[str,
     >>> unclaimed(np.array([False, True, False, True]))
     ('normals of 2 seen patches have no claim, as some points have none, or nearly: patches 1, 3 (counted from 0)',)
     """
-    return unclaimed_numbers([] if without is None else np.flatnonzero(np.asarray(without)).tolist())
+    return unclaimed_numbers(numbers_without(without))
+
+
+def numbers_without(without: Bool[Array | np.ndarray, "patches"] | None) -> list[int]:
+    """The numbers of these patches; none where normals are not looked at."""
+    return [] if without is None else np.flatnonzero(np.asarray(without)).tolist()
 
 
 def unclaimed_numbers(numbers: Sequence[int]) -> tuple[str, ...]:

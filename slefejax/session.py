@@ -163,6 +163,14 @@ class Session:
             self._patches = found
         return self._patches
 
+    @property
+    def tangents(self) -> Any:
+        """Tangent patches of that pose, as ``Renderer.move`` takes them; None unless ``normals`` are theirs."""
+        if self._prepared is None:
+            self._update_pose(None)
+        assert self._prepared is not None
+        return None if self._prepared.shading is None else self._prepared.shading.tangents
+
     def left_out(self) -> tuple[str, ...]:
         """What is not computed, because the scene has no need of it or it was not asked for; a sentence each."""
         return (*self.scene.left_out(), *self.request.left_out())

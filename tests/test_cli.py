@@ -10,23 +10,12 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from slefejax import Scene, save
 from slefejax.experiments.cli import main
 from slefejax.experiments.studies import minimality
 from slefejax.figures.error_image import error_colours
 from tests.tables import TABLES
 
 SMALL = ["--size", "180x120"]
-ALONG = np.linspace(0, 1, 4)
-CUSPED = Scene(
-    "cusped",
-    np.array(
-        [
-            [[[x, v, z] for v in ALONG] for x, z in ((0, 0), (0.2, 0.6), (1.0, 0.6), (1.2, 0))],
-            [[[x + 1.5, v, z] for v in ALONG] for x, z in ((0, 0), (1, 1), (0, 1), (1, 0))],
-        ]
-    ),
-)
 COLUMNS = {
     *("scale", "method", "segments", "patches", "triangles", "covered_pixels", "share_above_0.1", "share_above_0.5"),
     *(
@@ -39,8 +28,6 @@ COLUMNS = {
         "triangles_over_minimal",
     ),
 }
-
-UNCLAIMED = "normals of 1 seen patch have no claim, as some points have none, or nearly: patch 1 (counted from 0)"
 
 
 @pytest.fixture(autouse=True)
@@ -241,38 +228,6 @@ def test_factors_lists_every_patch(capsys):
     assert result["sum_of_factors"] == pytest.approx(560.385, abs=1e-3)
     assert sum(row["triangles"] for row in result["rows"]) == result["triangles"]
     assert 0 < result["rows"][5]["inner_u"] <= np.ceil(result["rows"][5]["factor"])
-
-
-def test_normals_that_have_to_be_right(capsys, tmp_path):
-    plain = run_json(capsys, "factors", "teapot")
-    result = run_json(capsys, "factors", "teapot", "--normal-tolerance", "1")
-    assert "patches_without_normal" not in plain
-    assert result["patches_without_normal"] == 0
-    assert result["triangles"] > 1.2 * plain["triangles"]
-    both = zip(result["rows"], plain["rows"], strict=True)
-    assert all(own["factor"] >= other["factor"] for own, other in both)
-
-
-@pytest.mark.gl
-def test_a_sweep_measures_normals_that_have_to_be_right(device, capsys, tmp_path):
-    save(CUSPED, tmp_path / "cusped.bpt")
-    arguments = ["cusped.bpt", "--size", "120x80", "--scales", "1", "0.4", "--normal-tolerance", "0.5"]
-    result = run_json(capsys, "minimality", *arguments)
-    assert set(result["rows"][0]) - COLUMNS == {
-        *("max_normal_error_deg", "patches_without_normal"),
-        *("slefe_triangles", "slefe_share_above_0.5", "slefe_max_error_px"),
-    }
-    turned = [row["max_normal_error_deg"] for row in result["rows"]]
-    assert 0.1 < turned[0] <= 0.5 < turned[1], "of the patch with a cusp nothing is claimed"
-    assert [row["patches_without_normal"] for row in result["rows"]] == [1, 1]
-    assert 0.5 < result["rows"][0]["triangles_over_minimal"] < 2.0
-    said = [note for note in result["notes"] if "normals" in note]
-    assert said == [
-        "normals of 1 seen patch have no claim, as some points have none, or nearly: patch 1 (counted from 0)"
-    ]
-    listed = run_json(capsys, "factors", *arguments[:3], *arguments[-2:])
-    assert listed["patches_without_normal"] == 1
-    assert said[0] in listed["notes"]
 
 
 def test_camera_options_are_heard(capsys):

@@ -16,13 +16,14 @@ from slefejax.arguments import on_host
 from slefejax.errors import InputError
 from slefejax.experiments.options import LoadOptions, OutputOptions, PredictionOptions, ViewOptions, camera_record
 from slefejax.experiments.report import Report, progress
+from slefejax.experiments.shading import FOR_CERTIFIED, unclaimed_numbers
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.experiments.studies.camera_path import ViewPath, camera_path
 from slefejax.experiments.studies.frames import Frames, Levels, change_of_levels, frame_levels, moves_of_pixels
-from slefejax.experiments.studies.look import Look
-from slefejax.experiments.studies.measures import Measure, measure, pixels_or_none, size
+from slefejax.experiments.studies.look import Look, Shown
+from slefejax.experiments.studies.measures import Measure, measure, normals, pixels_or_none, size, without_normal
 from slefejax.experiments.studies.modes import COLUMNS, MODES, mode_row
-from slefejax.experiments.studies.study import Case, Study
+from slefejax.experiments.studies.study import Case, Study, shown
 from slefejax.experiments.studies.times import milliseconds
 from slefejax.experiments.tables import write_csv
 from slefejax.figures.error_image import write_error_image
@@ -72,22 +73,26 @@ class Animate:
         inputs = {"scene": digest(scene.patches().tobytes()), "opengl": device.renderer}
         with Run("animate", arguments, self.output.out, inputs) as run:
             film = _Film(scene, frames, _views(path, frames), session, self, run, device)
-            study = Study(film.cases(), (size, pixels_or_none, *PARTS_OF_FRAMES), picture_name)
-            rows = study.rows(run, "frames")
+            turned = (normals, without_normal) if self.prediction.shading.degrees else ()
+            study = Study(film.cases(), (size, pixels_or_none, *turned, *PARTS_OF_FRAMES), picture_name)
+            found = study.rows(run, "frames")
+            rows = shown(found)
             modes = film.modes()
             film.draw(rows, modes)
             left_out = session.left_out()
-            record = {"scene": scene.name, "notes": scene.notes, "left_out": left_out, "modes": modes}
+            own = (*scene.notes, *_of_normals(found, modes)) if turned else scene.notes
+            record = {"scene": scene.name, "notes": own, "left_out": left_out, "modes": modes}
             record |= {"memory": session.memory(), "opengl": {"renderer": device.renderer, "version": device.version}}
             if modes:
                 write_csv(run.file("modes.csv"), modes)
             out = run.finish(rows, record)
         title = f"{scene.name}: {len(scene.patches()):,} patches in {len(rows)} frames at {self.camera.size}"
-        notes = (*scene.notes, *frames.notes(scene), *(f"left out: {what}" for what in left_out))
+        notes = (*own, *frames.notes(scene), *(f"left out: {what}" for what in left_out))
         if isinstance(session.request.method, Certified) and self.spacing != "equal":
             notes += ("levels with fractional spacing are not proved: the certificate is for equal spacing",)
+        columns = (*_SHOWN, *normals.columns) if turned else _SHOWN
         more = (("where the time of a frame goes, in milliseconds, and how many frames a second that makes", modes),)
-        return Report(scene.name, out, rows, title, notes, {"modes": modes}, self.output.json, more=more, shown=_SHOWN)
+        return Report(scene.name, out, rows, title, notes, {"modes": modes}, self.output.json, more=more, shown=columns)
 
     def _check(self) -> None:
         if self.loading.time is not None:
@@ -97,6 +102,13 @@ class Animate:
         fine = self.prediction.anisotropic or self.prediction.verify
         if self.spacing != "equal" and fine:
             raise InputError("--anisotropic and --verify find whole levels: they have no meaning with --spacing")
+
+
+def _of_normals(rows: list[Row], modes: list[Row]) -> tuple[str, ...]:
+    """What to say of patches without a claim, in whatever frame they are seen, and of the modes."""
+    numbers = sorted({patch for row in rows for patch in row["_without_normal"]})
+    said = (FOR_CERTIFIED, "where the time of a frame goes is measured without drawing normals") if modes else ()
+    return (*unclaimed_numbers(numbers), *said)
 
 
 def _views(path: ViewPath, frames: Frames) -> list[View]:
@@ -161,8 +173,12 @@ class _Film:
     device: Device
 
     def __post_init__(self) -> None:
-        self._renderer = Renderer(self.scene.patches(), self.device, self.options.spacing)
+        self._shaded = self.options.prediction.shading.of(self.scene)
+        self._renderer = self._make_renderer(**self._shaded.drawn)
         self._levels: dict[int, Levels] = {}
+
+    def _make_renderer(self, **drawn: Any) -> Renderer:
+        return Renderer(self.scene.patches(), self.device, self.options.spacing, **drawn)
 
     def levels(self, frame: int) -> Levels:
         """Those of a frame; of the last two they are kept."""
@@ -182,9 +198,13 @@ class _Film:
         """Predict, draw, and see what would have moved had the levels stayed those of the frame before."""
         before = self.levels(frame - 1) if frame else None
         own, view = self.levels(frame), self.views[frame]
-        hand_over_ms = own.milliseconds["hand_over_ms"] + milliseconds(lambda: self._renderer.move(own.patches))
+        hand_over_ms = own.milliseconds["hand_over_ms"] + milliseconds(
+            lambda: self._renderer.move(own.patches, own.tangents)
+        )
         spacing = self.options.spacing
-        found = _Frame(own.patches, view, self._renderer, own.inner, own.outer, spacing, own=own)
+        beside = Shown(self.scene, view, self.options.prediction.tolerance, shaded=self._shaded.moved(own.tangents))
+        beside.heard(own.factors)
+        found = _Frame(own.patches, view, self._renderer, own.inner, own.outer, spacing, shown=beside, own=own)
         found.spent = {**own.milliseconds, "hand_over_ms": hand_over_ms, "render_ms": found.render_ms}
         write_error_image(self.run.file(picture_name(frame)), found.error)
         if before is not None:
@@ -197,16 +217,16 @@ class _Film:
         if not self.options.seconds:
             return []
         own = self.options.prediction.arguments()
-        estimate: Options = {**own, "method": Slefe()}
+        estimate: Options = {**own, "method": Slefe(), "normal_tolerance": None, "normals": "surface"}
         alone = isinstance(self.session.request.method, Slefe) or isinstance(self.scene.control, GregoryPatches)
         every: list[Options] = [own] if alone else [own, estimate]
-        rows = []
+        rows, renderer = [], self._make_renderer() if self._shaded else self._renderer
         with progress("modes", len(MODES) * len(every)) as show:
             for arguments in every:
                 session = Session(self.scene, deform=self.options.loading.deformation(), **arguments)
                 for mode in MODES:
                     show(len(rows), mode)
-                    rows.append(mode_row(mode, session, self._renderer, self.frames, self.views, self.options.seconds))
+                    rows.append(mode_row(mode, session, renderer, self.frames, self.views, self.options.seconds))
         return rows
 
     def draw(self, rows: list[Row], modes: list[Row]) -> None:

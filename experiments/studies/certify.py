@@ -23,9 +23,20 @@ from slefejax.experiments.options import (
     rounding_notes,
 )
 from slefejax.experiments.report import Report
+from slefejax.experiments.shading import FOR_CERTIFIED, ShadingOptions, both_tolerances, unclaimed_numbers
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.experiments.studies.look import Look, Shown
-from slefejax.experiments.studies.measures import Measure, domain, measure, minimal, size, slips
+from slefejax.experiments.studies.measures import (
+    Measure,
+    domain,
+    domain_of_normals,
+    measure,
+    minimal,
+    normals,
+    size,
+    slips,
+    without_normal,
+)
 from slefejax.experiments.studies.study import Case, Study, shown
 from slefejax.experiments.studies.times import taking_turns
 from slefejax.figures.error_image import write_error_image
@@ -56,6 +67,7 @@ class Certify:
     """Of the published estimate: pieces m in each direction."""
     tolerance: float = 0.5
     """Error in pixels that is allowed."""
+    shading: tyro.conf.OmitArgPrefixes[ShadingOptions] = field(default_factory=ShadingOptions)
     camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
     loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
     output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
@@ -65,6 +77,7 @@ class Certify:
         if not self.scenes:
             raise InputError("name at least one scene: a file, teapot, twisted-quad or steep-patch")
         check_count("--tiles", self.tiles)
+        self.shading.check()
         scenes = [self.loading.load(name) for name in self.scenes]
         views = [self.camera.view(scene) for scene in scenes]
         device = open_device()
@@ -72,11 +85,10 @@ class Certify:
         inputs = {"scenes": [digest(s.patches().tobytes()) for s in scenes], "opengl": device.renderer}
         with Run("certify", arguments, self.output.out, inputs) as run:
             looks = _Looks(scenes, views, self, run)
-            measures = (size, _uniform, minimal, domain, _pixels, _above(self.tolerance), looks.times, _by_patch)
-            found = Study(looks.cases(), measures).rows(run, "measuring")
+            found = Study(looks.cases(), self._measures(looks)).rows(run, "measuring")
             looks.release()
             summary = shown(found)
-            rows = _patch_rows(found, self.tolerance)
+            rows = _patch_rows(found, self.tolerance, self.shading.degrees)
             images = [
                 [run.file(picture_name(k, name)) for name in looks.methods[k] if name in SHOWN]
                 for k in range(len(scenes))
@@ -84,15 +96,22 @@ class Certify:
             write_certify_figure(run.file("certify.png"), rows, summary, images, self.tolerance)
             names = " ".join(scene.name for scene in scenes)
             rounding = [rounding_notes(*own, self.tolerance) for own in zip(scenes, views, strict=True)]
-            beside = zip(looks.left_out, rounding, strict=True)
-            notes = notes_of(scenes, ["; ".join(note for note in (left, *own) if note) for left, own in beside])
+            beside = zip(looks.left_out, rounding, looks.unclaimed(found), strict=True)
+            more = ["; ".join(note for note in (left, *own, *none) if note) for left, own, none in beside]
+            notes = notes_of(scenes, more) + ((FOR_CERTIFIED,) if self.shading.degrees else ())
             record = {"scene": names, "notes": notes, "summary": summary, "opengl": {"renderer": device.renderer}}
             out = run.finish(rows, record)
-        broken = sum(row["sup_error_px"] > self.tolerance or row["drawn_sup_error_px"] > self.tolerance for row in rows)
+        broken = sum(row["slack_px"] < 0 or row.get("slack_deg", 0) < 0 for row in rows)
         high = sum(max(row["inner_u"], row["inner_v"]) > HIGHEST_LEVEL for row in rows)
-        title = f"{names}: certified factors at {self.tolerance:g} px, {broken} of {len(rows)} patches above it"
+        asked = both_tolerances(self.tolerance, self.shading.degrees)
+        title = f"{names}: certified factors at {asked}, {broken} of {len(rows)} patches above it"
         title += f", {high} need levels above {HIGHEST_LEVEL} and are drawn in pieces" if high else ""
         return Report(names, out, rows, title, notes + _sentences(summary), {"summary": summary}, self.output.json)
+
+    def _measures(self, looks: _Looks) -> tuple[Measure, ...]:
+        own = (size, _uniform, minimal, domain, _pixels, _above(self.tolerance), looks.times, _by_patch)
+        degrees = self.shading.degrees
+        return own if degrees is None else (*own, normals, domain_of_normals, _kept(degrees), without_normal, _turned)
 
 
 def picture_name(scene: int, method: str) -> str:
@@ -105,7 +124,7 @@ class _Looks:
 
     def __init__(self, scenes: list[Scene], views: list[View], options: Certify, run: Run) -> None:
         self._scenes, self._views, self._options, self._run = scenes, views, options, run
-        self._number, self._shown = -1, Shown(scenes[0], views[0], options.tolerance)
+        self._number, self._shown = -1, self._of(0)
         certified = Certified(options.tiles, verify=options.verify)
         asked = {"certified": certified, "slefe": Slefe(options.segments), "filip": Filip()}
         both = [applicable(asked, scene) for scene in scenes]
@@ -135,12 +154,14 @@ class _Looks:
         """Predict by all methods; times once they are compiled, the methods taking turns."""
         self.release()
         scene, view = self._scenes[number], self._views[number]
-        self._number, self._shown = number, Shown(scene, view, self._options.tolerance)
+        self._number, self._shown = number, self._of(number)
+        shaded = self._shown.shaded
 
         def predict(method: Method) -> Factors:
             numbers = scene.edge_numbers
+            kept, tolerance = shaded.asked(method), self._options.tolerance
             factors = tessellation_factors(
-                scene.patches(), view, method, tolerance=self._options.tolerance, edge_numbers=numbers
+                scene.patches(), view, method, tolerance=tolerance, edge_numbers=numbers, **kept
             )
             jax.block_until_ready(factors.factor)
             return factors
@@ -151,6 +172,16 @@ class _Looks:
         self._milliseconds = taking_turns(calls, _REPEATS)
         if self._options.anisotropic:
             self._factors["certified"] = predict(Certified(self._options.tiles, True, self._options.verify))
+        self._shown.heard(self._factors["certified"])
+
+    def _of(self, number: int) -> Shown:
+        scene, view = self._scenes[number], self._views[number]
+        return Shown(scene, view, self._options.tolerance, shaded=self._options.shading.of(scene))
+
+    def unclaimed(self, rows: list[Row]) -> list[tuple[str, ...]]:
+        """Of every scene, what to say of patches whose normals have no claim."""
+        first = np.cumsum([0, *map(len, self.methods[:-1])])
+        return [unclaimed_numbers(rows[k].get("_without_normal", [])) for k in first]
 
     def release(self) -> None:
         """Of the last scene."""
@@ -178,6 +209,20 @@ def _above(tolerance: float) -> Measure:
     )
 
 
+def _kept(degrees: float) -> Measure:
+    """Whether no angle of normals is larger, uniformly cut or as they are drawn."""
+    return Measure(
+        ("angle_kept",),
+        lambda look: {"angle_kept": not bool(np.any([look.uniform_turned > degrees, look.worst_turned > degrees]))},
+    )
+
+
+@measure("_turned_uniform", "_turned_drawn")
+def _turned(look: Look) -> Row:
+    """Angles of normals patch by patch, for the table of patches."""
+    return {"_turned_uniform": look.uniform_turned.tolist(), "_turned_drawn": look.worst_turned.tolist()}
+
+
 @measure("_factor", "_inner", "_minimal", "_uniform", "_drawn")
 def _by_patch(look: Look) -> Row:
     """Patch by patch, for the table of patches."""
@@ -186,8 +231,8 @@ def _by_patch(look: Look) -> Row:
     return dict(zip(_by_patch.columns, (np.asarray(own).tolist() for own in arrays), strict=True))
 
 
-def _patch_rows(found: list[Row], tolerance: float) -> list[Row]:
-    """The certified factor, its errors and what is left of the tolerance, beside the estimate's where it applies."""
+def _patch_rows(found: list[Row], tolerance: float, degrees: float | None) -> list[Row]:
+    """The certified factor, its errors and what is left of the tolerances, beside the estimate's where it applies."""
     rows = []
     for number, own in enumerate(found):
         if own["method"] != "certified":
@@ -210,9 +255,20 @@ def _patch_rows(found: list[Row], tolerance: float) -> list[Row]:
                     "slefe_factor": estimate[0],
                     "slefe_sup_error_px": estimate[1],
                     "slefe_drawn_sup_error_px": estimate[2],
+                    **({} if degrees is None else _angles(own, k, degrees)),
                 }
             )
     return rows
+
+
+def _angles(own: Row, patch: int, degrees: float) -> Row:
+    """Of normals of a patch, and what is left of the tolerance; NaN without a claim."""
+    uniform, drawn = own["_turned_uniform"][patch], own["_turned_drawn"][patch]
+    return {
+        "sup_normal_error_deg": uniform,
+        "drawn_sup_normal_error_deg": drawn,
+        "slack_deg": degrees - max(uniform, drawn),
+    }
 
 
 def _sentences(summary: list[Row]) -> tuple[str, ...]:
@@ -220,6 +276,13 @@ def _sentences(summary: list[Row]) -> tuple[str, ...]:
         f"{row['scene']}, {row['method']}: {row['triangles']:,} triangles ({row['uniform_triangles']:,} without shared"
         f" edges; minimal {row['minimal_triangles']:,}), largest error {row['sup_error_px']:.3g} px uniform and"
         f" {row['drawn_sup_error_px']:.3g} px as drawn, {row['patches_above']} of {row['patches']} patches above the"
-        f" tolerance, {row['predict_ms']:.2g} ms"
+        f" tolerance, {_said_of_normals(row)}{row['predict_ms']:.2g} ms"
         for row in summary
     )
+
+
+def _said_of_normals(row: Row) -> str:
+    if "angle_kept" not in row:
+        return ""
+    uniform, drawn = row["sup_normal_error_deg"], row["drawn_sup_normal_error_deg"]
+    return f"normals up to {uniform:.3g}° off uniform and {drawn:.3g}° as drawn, "

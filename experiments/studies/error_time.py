@@ -27,6 +27,7 @@ from slefejax.experiments.options import (
     parse_size,
 )
 from slefejax.experiments.report import Report, progress
+from slefejax.experiments.shading import FOR_CERTIFIED, ShadingOptions, both_tolerances, unclaimed_numbers
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.experiments.studies.look import Look, Shown
 from slefejax.experiments.studies.measures import (
@@ -36,12 +37,14 @@ from slefejax.experiments.studies.measures import (
     covering,
     domain,
     minimal,
+    normals,
     over_minimal,
     pixels,
     rings,
     size,
+    without_normal,
 )
-from slefejax.experiments.studies.study import Case, Study
+from slefejax.experiments.studies.study import Case, Study, shown
 from slefejax.experiments.studies.times import milliseconds, taking_turns
 from slefejax.figures.error_image import write_error_image
 from slefejax.figures.studies.error_time import (
@@ -88,6 +91,7 @@ class ErrorTime:
     """Runs of each rule whose median is the time; all rules take turns."""
     methods: tuple[str, ...] = ()
     """Some of the rules instead of all, by the names in the table, such as "slefe m=3"; or my_module:MyMethod."""
+    shading: tyro.conf.OmitArgPrefixes[ShadingOptions] = field(default_factory=ShadingOptions)
     loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
     output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
@@ -96,7 +100,10 @@ class ErrorTime:
         if len(set(self.methods)) < len(self.methods):
             raise InputError("--methods names a rule twice")
         with own_modules(*self.methods):
-            return {name: METHODS.get(name) or _own(name) for name in self.methods or METHODS}
+            found = {name: METHODS.get(name) or _own(name) for name in self.methods or METHODS}
+        if self.shading.degrees and not any(isinstance(method, Certified) for method in found.values()):
+            raise InputError("--normal-tolerance is for certified, which --methods leaves out")
+        return found
 
     def pictures(self) -> tuple[str, ...]:
         """Those whose error images are shown side by side."""
@@ -106,6 +113,7 @@ class ErrorTime:
         """Measure every view, tabulate, draw."""
         check_count("--cameras", self.cameras)
         check_count("--repeats", self.repeats)
+        self.shading.check()
         self.values()
         if not self.scenes:
             raise InputError("name at least one scene: a file, or teapot")
@@ -122,8 +130,10 @@ class ErrorTime:
         with Run("error-time", {**asdict(self), "output": None}, self.output.out, inputs) as run:
             with progress("measuring", sum(len(seen.rules) for seen in views)) as show:
                 looks = _Looks(views, self, run, show)
-                rows = Study(looks.cases(), (*MEASURES, looks.times)).rows(run, "measuring", show)
+                turned = (normals, without_normal) if self.shading.degrees else ()
+                found = Study(looks.cases(), (*MEASURES, *turned, looks.times)).rows(run, "measuring", show)
                 looks.release()
+            rows = shown(found)
             write_error_against_time(run.file("error_against_time.png"), rows, self.tolerance)
             write_pixels_against_triangles(run.file("pixels_against_triangles.png"), rows, self.tolerance)
             write_triangle_sizes(run.file("triangle_sizes.png"), rows, AREAS)
@@ -132,10 +142,20 @@ class ErrorTime:
             write_side_by_side(run.file("side_by_side.png"), panels, self.tolerance)
             names = " ".join(scene.name for scene in scenes)
             opengl = {"renderer": device.renderer, "version": device.version}
-            notes = notes_of(scenes, [left for _, left in rules])
+            without = [_unclaimed(found, scene.name) for scene in scenes]
+            beside = zip(rules, without, strict=True)
+            notes = notes_of(scenes, ["; ".join(note for note in (left, *own) if note) for (_, left), own in beside])
+            notes += (FOR_CERTIFIED,) if self.shading.degrees else ()
             out = run.finish(rows, {"scene": names, "notes": notes, "opengl": opengl})
-        title = f"{names}: rules for tessellation factors at {self.tolerance:g} px, {len(views)} views of {self.size}"
+        asked = both_tolerances(self.tolerance, self.shading.degrees)
+        title = f"{names}: rules for tessellation factors at {asked}, {len(views)} views of {self.size}"
         return Report(names, out, summary(rows), title, notes, extra={"table": rows}, as_json=self.output.json)
+
+
+def _unclaimed(rows: list[Row], name: str) -> tuple[str, ...]:
+    """What to say of a scene's patches whose normals have no claim, in whatever view they are seen."""
+    numbers = {patch for row in rows if row["scene"] == name for patch in row.get("_without_normal", ())}
+    return unclaimed_numbers(sorted(numbers))
 
 
 def _own(name: str) -> Method:
@@ -199,7 +219,9 @@ class _Looks:
     def _of(self, number: int) -> Shown:
         seen = self._views[number]
         count = f"of {len(seen.scene.patches()):,} minimal factors"
-        return Shown(seen.scene, seen.view, self._options.tolerance, lambda n: self._show(detail=f"{n:,} {count}"))
+        settled = lambda n: self._show(detail=f"{n:,} {count}")  # noqa: E731
+        shaded = self._options.shading.of(seen.scene)
+        return Shown(seen.scene, seen.view, self._options.tolerance, settled, shaded)
 
     def _predict(self) -> None:
         """By all rules: first calls, then run times of rules that take turns."""
@@ -208,13 +230,17 @@ class _Looks:
 
         def predict(name: str) -> Factors:
             tolerance, numbers = self._options.tolerance, scene.edge_numbers
-            return tessellation_factors(scene.patches(), view, rules[name], tolerance=tolerance, edge_numbers=numbers)
+            kept = self._shown.shaded.asked(rules[name])
+            return tessellation_factors(
+                scene.patches(), view, rules[name], tolerance=tolerance, edge_numbers=numbers, **kept
+            )
 
         calls = {name: partial(predict, name) for name in rules}
         first = {name: max(0.0, milliseconds(call) - milliseconds(call)) for name, call in calls.items()}
         self._factors = {name: call() for name, call in calls.items()}
         draws = {}
         for name, own in self._factors.items():
+            self._shown.heard(own)
             draws[name] = partial(renderer.submit, view, own.inner, own.edges)
             draws[name]()  # once unmeasured: the driver may compile
         both = [taking_turns(what, self._options.repeats) for what in (calls, draws)]
@@ -240,7 +266,8 @@ def summary(rows: list[Row]) -> list[Row]:
         "predict_ms",
         "render_ms",
     )
-    worst = ("sup_error_px", "drawn_sup_error_px", "max_error_px", "slipped_pixels", "max_slip_px")
+    worst = ["sup_error_px", "drawn_sup_error_px", "max_error_px", "slipped_pixels", "max_slip_px"]
+    worst += [name for name in normals.columns if name in rows[0]]
     found = []
     for name in names:
         own = [row for row in rows if row["method_name"] == name]

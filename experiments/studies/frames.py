@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Real
 
-from slefejax import Scene, Session, View
+from slefejax import Factors, Scene, Session, View
 from slefejax.errors import InputError
 from slefejax.experiments.store import Row
 from slefejax.experiments.studies.times import milliseconds
@@ -88,15 +88,22 @@ def _times(text: str, first: float, last: float) -> np.ndarray:
 class Levels:
     """What is drawn in a frame, and how long it took to find.
 
-    patches      : control points of the pose;  factor : before rounding up
+    patches      : control points of the pose;  tangents : its tangent patches, where normals are theirs
+    factors      : before rounding up; ``factor`` as numbers
     milliseconds : of the parts of the prediction, by the names of columns
     """
 
     patches: Any  # (patches, nu, nv, dim), or GregoryPatches
-    factor: Float[np.ndarray, "patches"]
+    tangents: Any
+    factors: Factors
     inner: Real[np.ndarray, "patches 2"]
     outer: Real[np.ndarray, "patches 4"]
     milliseconds: Row
+
+    @property
+    def factor(self) -> Float[np.ndarray, "patches"]:
+        """Of every patch, real."""
+        return np.asarray(self.factors.factor, np.float64)
 
     def drawn_with(self, other: Levels) -> tuple[Any, Any]:
         """These levels where both are drawn, the others' elsewhere."""
@@ -119,7 +126,7 @@ def frame_levels(session: Session, view: View, pose: Any, spacing: str) -> Level
         own = levels_for(factor, spacing)
         inner, outer = np.repeat(own[:, None], 2, axis=1), edge_maxima(own, factors.edge_numbers)
     spent |= {"levels_ms": 1e3 * (time.perf_counter() - start), "hand_over_ms": hand_over_ms}
-    return Levels(session.patches, factor, inner, outer, spent)
+    return Levels(session.patches, session.tangents, factors, inner, outer, spent)
 
 
 def change_of_levels(before: Levels, after: Levels) -> Row:

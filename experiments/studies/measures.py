@@ -92,6 +92,15 @@ def normals(look: Look) -> Row:
     }
 
 
+@measure("sup_normal_error_deg", "drawn_sup_normal_error_deg")
+def domain_of_normals(look: Look) -> Row:
+    """The largest angle over the domain, cut uniformly and as the tessellator draws it, where a claim is made."""
+    return {
+        "sup_normal_error_deg": largest(look.uniform_turned),
+        "drawn_sup_normal_error_deg": largest(look.worst_turned),
+    }
+
+
 @measure("_without_normal")
 def without_normal(look: Look) -> Row:
     """The numbers of the patches of whose normals nothing is claimed."""

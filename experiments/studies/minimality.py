@@ -22,7 +22,7 @@ from slefejax.experiments.options import (
     columns_of,
 )
 from slefejax.experiments.report import Report
-from slefejax.experiments.shading import Shaded, unclaimed
+from slefejax.experiments.shading import FOR_CERTIFIED, Shaded, unclaimed
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.experiments.studies.look import Look, Shown
 from slefejax.experiments.studies.measures import (
@@ -69,8 +69,8 @@ class Minimality:
         request, shaded = self.prediction.request(scene), self.prediction.shading.of(scene)
         factors, predict_ms = _predict(scene, view, request, shaded)
         largest = factors.scaled(max(self.scales)).levels
-        alone = isinstance(request.method, Slefe) or isinstance(scene.patches(), GregoryPatches)
-        beside = None if alone else _estimate(scene, view, request)
+        same = isinstance(request.method, Slefe) or isinstance(scene.patches(), GregoryPatches)
+        beside = None if same else _estimate(scene, view, request)
         device = open_device()
         check_levels(largest)
         arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
@@ -89,7 +89,8 @@ class Minimality:
             study = Study(cases, measures, error_name)
             rows = study.rows(run, "rendering")
             sweep.draw_pictures(rows)
-            notes = (*scene.notes, *unclaimed(factors.without_normal))
+            alone = (FOR_CERTIFIED,) if shaded and beside is not None else ()
+            notes = (*scene.notes, *unclaimed(factors.without_normal), *alone)
             record = {
                 "scene": scene.name,
                 "notes": notes,
