@@ -70,6 +70,37 @@ def test_options_reach_the_prediction(teapot, main_view):
     assert strict.tolerance == pytest.approx(4 * plain.tolerance, rel=0.03)
 
 
+# a cubic bend along u, straight along v: its normals turn unevenly
+BENT = np.array([[[x, v, z] for v in (0.0, 1.0)] for x, z in ((0, 0), (0.2, 0.6), (1, 0.6), (1.2, 0))])[None]
+NORMALS = {"normal_tolerance": 0.2}
+
+
+@pytest.mark.parametrize("search", [tolerance_for_budget, pytest.param(distance_for_budget, marks=pytest.mark.slow)])
+def test_normals_stay_right_within_a_budget(search):
+    view = View(Camera.look_at((0.6, -4, 1), (0.6, 0.5, 0.2)), 200, 150)
+    with pytest.raises(InputError, match="10 triangles are too few: for normal_tolerance alone there are") as said:
+        search(BENT, view, 10, **NORMALS)
+    least = int(str(said.value).rsplit(maxsplit=1)[1])
+    found = search(BENT, view, least + 20, **NORMALS)
+    assert least <= found.triangles <= least + 20
+    assert found.triangles == drawn(BENT, found.view, tolerance=found.tolerance, **NORMALS)
+    assert found.triangles >= 0.99 * (least + 20) or found.is_step
+    with pytest.raises(InputError, match="needs tangents="):
+        search(BENT, view, 200, normals="tangents", **NORMALS)
+
+
+@pytest.mark.slow
+def test_triangles_that_normals_need_are_differentiable(rng):
+    view = View(Camera.look_at((0.6, -4, 1), (0.6, 0.5, 0.2)), 200, 150)
+    count = jax.jit(lambda patches: real_triangles(patches, view, tolerance=50.0, **NORMALS))
+    bent = BENT + 0.02 * rng.normal(size=BENT.shape)  # what is symmetric ties
+    assert float(count(bent)) > 10 * float(real_triangles(bent, view, tolerance=50.0))
+    step = rng.normal(size=BENT.shape)
+    ahead, behind = (float(count(bent + s * step)) for s in (1e-6, -1e-6))
+    slope = float(np.vdot(jax.grad(count)(bent), step))
+    assert slope == pytest.approx((ahead - behind) / 2e-6, rel=1e-3)
+
+
 def test_real_triangles_are_differentiable(teapot, main_view):
     def count(log):
         return real_triangles(teapot.patches(), main_view, tolerance=jnp.exp(log), **FAST)

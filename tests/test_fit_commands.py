@@ -112,6 +112,12 @@ def test_optimise(capsys):
         (["optimise", "twisted-quad", "--cameras", "2"], "no inner control points"),
         (["optimise", "teapot", "--within", "-1"], "--within is a share"),
         (["optimise", "teapot", "--cameras", "1"], "--cameras"),
+        (
+            ["budget", "teapot", "--triangles", "500", "--normal-tolerance", "0"],
+            "--normal-tolerance must be more than 0",
+        ),
+        (["sensitivity", "teapot", "--normal-tolerance", "nan"], "--normal-tolerance must be more than 0"),
+        (["optimise", "teapot", "--normal-tolerance", "200"], "--normal-tolerance must be more than 0"),
     ],
 )
 def test_bad_input_is_one_sentence(arguments, says, capsys):

@@ -167,6 +167,7 @@ def test_it_goes_on_where_it_was(relaxed):
         ({"patches": np.ones((1, 4, 4, 4))}, "rational patches are not moved"),
         ({"verify": True}, "verify has no meaning here"),
         ({"method": "filip"}, "method 'filip' has none"),
+        ({"normal_tolerance": 1.0, "normals": "tangents"}, "normals must be 'surface' here"),
     ],
 )
 def test_bad_input(change, says, main_view):

@@ -118,6 +118,22 @@ def test_certified_and_dual_quaternions(walker):
     assert found.tolerance == pytest.approx((ahead - behind) / (2 * H), rel=1e-5)
 
 
+@pytest.mark.slow
+def test_normals_of_tangent_patches(walker):
+    """They move with the mesh; positions need next to nothing at such a tolerance."""
+    view, pose = View(walker.default_camera(), 640, 400), walker.rig.pose(3.0, {"smile": 0.4})
+    options = {"tolerance": 20.0, "normal_tolerance": 10.0, "normals": "tangents"}
+    found = sensitivity(walker, view, pose, **options)
+
+    def shaded(smile):
+        own = pose._replace(keys=pose.keys.at[walker.rig.keys.names.index("smile")].add(smile))
+        return float(real_triangles(walker.pose(own), view, tangents=walker.tangents(own), **options))
+
+    assert found.triangles == pytest.approx(shaded(0.0))
+    slope = found.keys[walker.rig.keys.names.index("smile")]
+    assert slope == pytest.approx((shaded(H) - shaded(-H)) / (2 * H), rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("call", "says"),
     [
@@ -127,6 +143,7 @@ def test_certified_and_dual_quaternions(walker):
         (lambda t, v: sensitivity(load("twisted-quad"), v, 3.0), "twisted-quad does not move"),
         (lambda t, v: sensitivity(t, v, tolerance=0.0), "tolerance must be"),
         (lambda t, v: sensitivity(t, v, method="best"), "no method 'best'"),
+        (lambda t, v: sensitivity(t, v, normal_tolerance=1.0, normals="tangents"), "teapot is no control mesh"),
     ],
 )
 def test_bad_input(call, says, teapot, main_view):

@@ -16,11 +16,13 @@ from slefejax.arguments import on_device
 from slefejax.errors import InputError
 from slefejax.experiments.options import LoadOptions, OutputOptions, PredictionOptions, ViewOptions, camera_record
 from slefejax.experiments.report import Report, progress
+from slefejax.experiments.shading import numbers_without, unclaimed_numbers
 from slefejax.experiments.store import Row, Run
+from slefejax.experiments.studies.study import shown
 from slefejax.figures.moves.budget import write_budget
 from slefejax.geometry.view import bounding_sphere
 from slefejax.predict.methods import Options, name_of
-from slefejax.study.budget import Budget, counted, moved
+from slefejax.study.budget import Budget, counted, moved, with_normals
 from slefejax.tessellator.levels import HIGHEST_LEVEL
 
 _CURVE = np.exp(np.linspace(-2.5, 2.5, 41))  # around what was found
@@ -52,12 +54,14 @@ class BudgetOfScene:
         arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
         with Run("budget", arguments, self.output.out, {"process": os.getpid()}) as run:
             with progress("searching", len(self.triangles)) as show:
-                rows = []
+                found = []
                 for wanted in self.triangles:
-                    rows.append(self._row(scene, view, wanted))
-                    show(len(rows))
+                    found.append(self._row(scene, view, wanted))
+                    show(len(found))
+            rows = shown(found)
             write_budget(run.file("budget.png"), rows, self._curve(scene, view, rows), self.by, scene.name)
-            notes = (*scene.notes, *_beyond(rows))
+            without = sorted({patch for row in found for patch in row["_without_normal"]})
+            notes = (*scene.notes, *_beyond(rows), *unclaimed_numbers(without))
             out = run.finish(rows, {"scene": scene.name, "notes": notes})
         what = "tolerance" if self.by == "tolerance" else "distance of the camera"
         title = f"{scene.name}: the {what} that meets a number of triangles, method {name_of(self.prediction.value())}"
@@ -72,7 +76,10 @@ class BudgetOfScene:
     def _row(self, scene: Scene, view: View, wanted: int) -> Row:
         search = tolerance_for_budget if self.by == "tolerance" else distance_for_budget
         start = time.perf_counter()
-        found = search(scene.patches(), view, wanted, edge_numbers=scene.edge_numbers, **self._options())
+        tangents = self.prediction.shading.of(scene).tangents
+        found = search(
+            scene.patches(), view, wanted, tangents=tangents, edge_numbers=scene.edge_numbers, **self._options()
+        )
         seconds = time.perf_counter() - start
         error = sampled_error(scene.patches(), found.factors.inner, found.view)
         return {
@@ -88,12 +95,14 @@ class BudgetOfScene:
             "sup_error_px": float(error.max()),
             "counts": found.counts,
             "seconds": seconds,
+            "_without_normal": numbers_without(found.factors.without_normal),
         }
 
     def _curve(self, scene: Scene, view: View, rows: list[Row]) -> tuple[np.ndarray, np.ndarray]:
         """Triangles without rounding, against tolerance or distance, around what was found."""
         request = self.prediction.request(scene).real
         patches, sphere = on_device(scene.patches()), bounding_sphere(scene.points())
+        shaded = self.prediction.shading.of(scene)
         name = "tolerance_px" if self.by == "tolerance" else "distance"
         middle = float(np.exp(np.mean(np.log([row[name] for row in rows]))))
         spread = max(1.0, float(np.ptp(np.log([row[name] for row in rows]))))
@@ -102,9 +111,10 @@ class BudgetOfScene:
 
         @jax.jit
         def count(patches: Any, place: Any) -> Any:
+            prepared = with_normals(request, patches, *shaded.kind)
             if self.by == "tolerance":
-                return counted(request.at(place), patches, view)
-            return counted(request, patches, moved(view, sphere, place / own))
+                return counted(request.at(place), prepared, view)
+            return counted(request, prepared, moved(view, sphere, place / own))
 
         return places, np.array([float(count(patches, place)) for place in places])
 

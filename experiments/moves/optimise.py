@@ -20,6 +20,7 @@ from slefejax.experiments.options import (
     parse_size,
 )
 from slefejax.experiments.report import Report, progress
+from slefejax.experiments.shading import unclaimed
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.experiments.tables import write_csv
 from slefejax.figures.moves.optimise import write_optimise
@@ -89,6 +90,7 @@ class Optimise:
             out = run.finish(rows, {"scene": scene.name, "surface": surface, "seconds": seconds})
         notes = (*scene.notes, *([f"The solver stopped early: {found.reason}."] if found.reason else []))
         notes += _stayed(found)
+        notes += _unclaimed(scene, views, options)
         title = f"{scene.name}: triangles before and after, the surface within {self.within:.3g} of the radius"
         moved = [row for row, moves in zip(patches, found.moved, strict=True) if moves]
         best = sorted(moved, key=lambda row: row["held_out_after"] - row["held_out_before"])[:_LISTED]
@@ -134,6 +136,14 @@ def _counts(scene: Scene, views: list[View], options: Options) -> np.ndarray:
     """Triangles of patches, ``(views, patches)``, without rounding."""
     factors = [np.asarray(tessellation_factors(scene.patches(), view, **options).factor) for view in views]
     return 2.0 * np.square(factors)
+
+
+def _unclaimed(scene: Scene, views: list[View], options: Options) -> tuple[str, ...]:
+    """What to say of patches whose normals have no claim, in whatever view they are seen."""
+    if options.get("normal_tolerance") is None:
+        return ()
+    found = [tessellation_factors(scene.patches(), view, **options).without_normal for view in views]
+    return unclaimed(np.any(np.stack([np.asarray(own) for own in found]), axis=0))
 
 
 def _row(

@@ -8,10 +8,11 @@ from dataclasses import asdict, dataclass, field, replace
 import numpy as np
 import tyro
 
-from slefejax import Scene, View
+from slefejax import Scene, View, tessellation_factors
 from slefejax.experiments.moves.outlines import outlines
 from slefejax.experiments.options import LoadOptions, OutputOptions, PredictionOptions, ViewOptions, camera_record
 from slefejax.experiments.report import Report
+from slefejax.experiments.shading import unclaimed
 from slefejax.experiments.store import Row, Run
 from slefejax.figures.moves.sensitivity import write_sensitivity
 from slefejax.geometry.view import bounding_sphere
@@ -51,10 +52,20 @@ class SensitivityOfScene:
             table = np.column_stack([np.arange(len(found.places)), found.places, found.points])
             header = "point,x,y,z,triangles_per_unit_x,triangles_per_unit_y,triangles_per_unit_z"
             np.savetxt(run.file("points.csv"), table, "%.9g", ",", header=header, comments="")
-            out = run.finish(rows, {"scene": scene.name, "notes": scene.notes, "triangles": found.triangles})
+            notes = (*scene.notes, *self._unclaimed(posed, view))
+            out = run.finish(rows, {"scene": scene.name, "notes": notes, "triangles": found.triangles})
         title = f"{scene.name}: {found.triangles:,.0f} triangles without rounding, and what changes them the most"
         extra = {"triangles": found.triangles, "radius": radius}
-        return Report(scene.name, out, rows, title, scene.notes, extra, self.output.json)
+        return Report(scene.name, out, rows, title, notes, extra, self.output.json)
+
+    def _unclaimed(self, posed: Scene, view: View) -> tuple[str, ...]:
+        """What to say of patches whose normals have no claim: they count by positions alone."""
+        shading = self.prediction.shading
+        if shading.degrees is None:
+            return ()
+        options = self.prediction.arguments()
+        found = tessellation_factors(posed.patches(), view, tangents=shading.of(posed).tangents, **options)
+        return unclaimed(found.without_normal)
 
 
 def _rows(scene: Scene, found: Sensitivity, radius: float) -> list[Row]:

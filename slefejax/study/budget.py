@@ -21,10 +21,11 @@ from jax.core import Tracer
 from slefejax.arguments import Patches, is_whole, on_device, on_host
 from slefejax.errors import InputError
 from slefejax.framing import clipping_planes
-from slefejax.geometry.packed import Packed, pack
+from slefejax.geometry.packed import pack
 from slefejax.geometry.view import Camera, View, bounding_sphere, check_view
 from slefejax.late import one_at_a_time
-from slefejax.predict.factors import Factors, predicted
+from slefejax.predict.factors import Factors, predicted, shaded
+from slefejax.predict.kernel import Prepared
 from slefejax.predict.methods import Options, Request
 from slefejax.predict.rules import EdgeLength, Fixed, ScreenBox
 from slefejax.tessellator.edges import check_edge_numbers, shared_edges
@@ -35,6 +36,7 @@ _AIM = 0.996  # of the budget: where a step of the search aims
 _STEP = 1e-6  # of the tolerance or the distance: two places so near with counts on both sides of the budget are a step
 _CLIMB = 60
 _REACH = 30.0  # logarithms of the tolerance on either side of half a pixel
+_COARSEST = float(np.log(0.5)) + _REACH  # a logarithm at which positions need one piece a patch
 _LEVEL = 2.0**20  # factors beyond it are no search's aim
 _DISTANCES = np.exp(np.linspace(0.0, 12.0, 97))  # at which a place for the camera is looked for, from its own on
 
@@ -60,14 +62,21 @@ class Budget(NamedTuple):
 
 
 def tolerance_for_budget(
-    patches: Patches, view: View, triangles: Any, *, edge_numbers: Any = None, **options: Unpack[Options]
+    patches: Patches,
+    view: View,
+    triangles: Any,
+    *,
+    tangents: Any = None,
+    edge_numbers: Any = None,
+    **options: Unpack[Options],
 ) -> Budget:
     """A tolerance that a number of triangles is enough for: the finest, to within 1 % of them or one step.
 
-    patches, view, edge_numbers, options : as for ``tessellation_factors``, but for the tolerance
+    patches, view, tangents, edge_numbers, options : as for ``tessellation_factors``, but for the tolerance
     triangles    : as drawn, with shared edges and transition rings
 
-    Raises InputError for a budget that even the coarsest tolerance exceeds, and as ``tessellation_factors`` does.
+    A ``normal_tolerance`` stays what it is. Raises InputError for a budget that even the coarsest tolerance exceeds, or
+    that normals exceed, and as ``tessellation_factors`` does.
 
     >>> from slefejax import Camera, load
     >>> view = View(Camera.look_at((4.5, -6.0, 4.0), (0.0, 0.0, 1.2)), width=1440, height=900)
@@ -77,17 +86,24 @@ def tolerance_for_budget(
     """
     if "tolerance" in options:
         raise InputError("the tolerance is what is looked for: leave it out")
-    packed, request, edges = _checked(patches, view, triangles, options, edge_numbers)
+    prepared, request, edges = _checked(patches, view, triangles, options, tangents, edge_numbers)
 
     def factors(log: float) -> Factors:
-        return predicted(request.at(float(np.exp(log))), packed, view, edges)
+        return predicted(request.at(float(np.exp(log))), prepared, view, edges)
 
-    start = _tolerance_root(packed.patches(), view, triangles, request.real)
-    return _climb(factors, start, int(triangles), lambda log: (float(np.exp(log)), view))
+    start = _tolerance_root(prepared.packed.patches(), view, triangles, _positions(request))
+    coarsest = None if prepared.shading is None else _COARSEST
+    return _climb(factors, start, int(triangles), lambda log: (float(np.exp(log)), view), coarsest)
 
 
 def distance_for_budget(
-    patches: Patches, view: View, triangles: Any, *, edge_numbers: Any = None, **options: Unpack[Options]
+    patches: Patches,
+    view: View,
+    triangles: Any,
+    *,
+    tangents: Any = None,
+    edge_numbers: Any = None,
+    **options: Unpack[Options],
 ) -> Budget:
     """The nearest place of the camera, on its line of sight, from which a number of triangles is enough.
 
@@ -98,7 +114,8 @@ def distance_for_budget(
     Raises InputError for a camera without perspective, for a budget that no place on the line meets, and as
     ``tessellation_factors`` does.
     """
-    packed, request, edges = _checked(patches, view, triangles, options, edge_numbers)
+    prepared, request, edges = _checked(patches, view, triangles, options, tangents, edge_numbers)
+    packed = prepared.packed
     if not view.camera.perspective:
         raise InputError("without perspective the distance of the camera changes nothing: ask for the tolerance")
     given = on_host(packed.patches())
@@ -108,10 +125,12 @@ def distance_for_budget(
     tolerance = float(request.tolerances.pixels)
 
     def factors(log: float) -> Factors:
-        return predicted(request, packed, moved(view, sphere, float(np.exp(log))), edges)
+        return predicted(request, prepared, moved(view, sphere, float(np.exp(log))), edges)
 
-    start = _distance_root(given, view, sphere, triangles, request.real)
-    return _climb(factors, start, int(triangles), lambda log: (tolerance, moved(view, sphere, float(np.exp(log)))))
+    start = _distance_root(given, view, sphere, triangles, _positions(request))
+    furthest = None if prepared.shading is None else float(np.log(_DISTANCES[-1]))
+    place = lambda log: (tolerance, moved(view, sphere, float(np.exp(log))))  # noqa: E731
+    return _climb(factors, start, int(triangles), place, furthest)
 
 
 def moved(view: View, sphere: tuple[Any, Any], scale: Any) -> View:
@@ -129,22 +148,34 @@ def moved(view: View, sphere: tuple[Any, Any], scale: Any) -> View:
     return replace(view, camera=Camera.look_at(eye, camera.target, camera.up, camera.extent, near, far))
 
 
-def real_triangles(patches: Patches, view: View, **options: Unpack[Options]) -> Array:
-    """The sum of 2 tau^2 over the visible patches: triangles of uniform grids without rounding. Differentiable."""
+def real_triangles(patches: Patches, view: View, *, tangents: Any = None, **options: Unpack[Options]) -> Array:
+    """The sum of 2 tau^2 over the visible patches: triangles of uniform grids without rounding. Differentiable.
+
+    Arguments as of ``tessellation_factors``.
+    """
     packed = pack(patches)
     check_view(view)
-    return counted(Request.of(options, packed.dimension), packed, view)
+    request = Request.of(options, packed.dimension)
+    return counted(request, with_normals(request, packed, options.get("normals", "surface"), tangents), view)
 
 
-def counted(request: Request, patches: Patches, view: View) -> Array:
+def with_normals(request: Request, patches: Patches, normals: str = "surface", tangents: Any = None) -> Prepared:
+    """Patches for many views or tolerances: if their normals have to be right, the factors for that are there."""
+    found = shaded(request, Prepared(pack(patches)), normals, tangents)
+    if found.shading is not None:
+        _ = found.shading.factor  # no view changes it; found in a loop over views it would be lost after it
+    return found
+
+
+def counted(request: Request, prepared: Prepared, view: View) -> Array:
     """``real_triangles`` of what was checked."""
-    factor = predicted(request, pack(patches), view).factor
+    factor = predicted(request, prepared, view).factor
     return 2.0 * jnp.sum(jnp.minimum(factor, _LEVEL) ** 2)
 
 
 def _checked(
-    patches: Patches, view: Any, triangles: Any, options: Mapping[str, Any], edge_numbers: Any
-) -> tuple[Packed, Request, Any]:
+    patches: Patches, view: Any, triangles: Any, options: Mapping[str, Any], tangents: Any, edge_numbers: Any
+) -> tuple[Prepared, Request, Any]:
     packed = pack(patches)
     check_view(view)
     if not is_whole(triangles, 2):
@@ -154,23 +185,28 @@ def _checked(
         raise InputError("method 'fixed' makes the same triangles whatever the tolerance: there is nothing to find")
     if isinstance(request.method, (EdgeLength, ScreenBox)):
         raise InputError(f"method {request.name!r} knows no tolerance: change its setting")
-    if not np.any(np.asarray(predicted(request.real, packed, view).factor)):
+    prepared = with_normals(request, packed, options.get("normals", "surface"), tangents)
+    if not np.any(np.asarray(predicted(request.real, prepared, view).factor)):
         raise InputError("no patch is visible from this camera: there is nothing to spend triangles on")
     edges = shared_edges(on_host(packed.patches())) if edge_numbers is None else edge_numbers
-    return packed, request, check_edge_numbers(edges, len(packed))
+    return prepared, request, check_edge_numbers(edges, len(packed))
+
+
+def _positions(request: Request) -> Request:
+    """Real factors for positions alone: where they meet a budget is near enough to begin with."""
+    return request.real._replace(normal_tolerance=None)
 
 
 def _tolerance_root(patches: Patches, view: View, wanted: int, request: Request) -> float:
     def excess(log: Any, patches: Patches) -> Array:
-        return jnp.log(counted(request.at(jnp.exp(log)), patches, view) / (wanted + 0.5))
+        return jnp.log(counted(request.at(jnp.exp(log)), with_normals(request, patches), view) / (wanted + 0.5))
 
-    middle = float(np.log(0.5))
-    return _root(excess, middle - _REACH, middle + _REACH, on_device(patches))
+    return _root(excess, _COARSEST - 2.0 * _REACH, _COARSEST, on_device(patches))
 
 
 def _distance_root(patches: Patches, view: View, sphere: Any, wanted: int, request: Request) -> float:
     def excess(log: Any, patches: Patches) -> Array:
-        seen = counted(request, patches, moved(view, sphere, jnp.exp(log)))
+        seen = counted(request, with_normals(request, patches), moved(view, sphere, jnp.exp(log)))
         return jnp.log(jnp.maximum(seen, 1e-3) / (wanted + 0.5))
 
     points = on_device(patches)
@@ -203,15 +239,24 @@ def _root(excess: Callable[[Any, Any], Any], low: float, high: float, patches: P
 
 
 def _climb(
-    factors: Callable[[float], Factors], start: float, wanted: int, place: Callable[[float], tuple[float, View]]
+    factors: Callable[[float], Factors],
+    start: float,
+    wanted: int,
+    place: Callable[[float], tuple[float, View]],
+    coarsest: float | None,
 ) -> Budget:
-    """From a first logarithm to the best one: counts fall as it grows, about as exp(-log)."""
+    """From a first logarithm to the best one: counts fall as it grows, about as exp(-log).
+
+    coarsest : a logarithm at which normals alone ask for triangles, where they do: there, counts no longer fall
+    """
     low = high = above = None
     best: tuple[int, float, Factors] | None = None
     log, counts, is_step = start, 0, False
+    if coarsest is not None:
+        high, best, counts = coarsest, _least(factors, wanted, coarsest), 1
     while counts < _CLIMB:
         found = factors(log)
-        count, counts = int(triangle_counts(found.inner, found.edges).sum()), counts + 1
+        count, counts = _drawn(found), counts + 1
         if count > wanted:
             low, above = log, count if above is None else min(above, count)
             if found.levels.max() <= 1:
@@ -233,6 +278,20 @@ def _climb(
     camera = view.camera
     distance = float(np.linalg.norm(np.asarray(camera.target) - np.asarray(camera.eye)))
     return Budget(tolerance, view, distance, found, count, above, is_step, counts)
+
+
+def _least(factors: Callable[[float], Factors], wanted: int, coarsest: float) -> tuple[int, float, Factors]:
+    """What normals alone ask for. Raises InputError if that is too much."""
+    found = factors(coarsest)
+    count = _drawn(found)
+    if count > wanted:
+        said = f"{wanted:,} triangles are too few: for normal_tolerance alone there are {count:,}"
+        raise InputError(said, options=("normal_tolerance",))
+    return count, coarsest, found
+
+
+def _drawn(found: Factors) -> int:
+    return int(triangle_counts(found.inner, found.edges).sum())
 
 
 def _next(guess: float, log: float, low: float | None, high: float | None, counts: int) -> float:

@@ -20,11 +20,10 @@ from jaxtyping import Float
 
 from slefejax.arguments import Number, Patches, check_patches, check_positive, is_whole
 from slefejax.errors import InputError
-from slefejax.geometry.packed import pack
 from slefejax.geometry.view import View, check_views
 from slefejax.predict.factors import predicted
 from slefejax.predict.methods import Certified, Options, Request, Slefe
-from slefejax.study.budget import counted
+from slefejax.study.budget import counted, with_normals
 from slefejax.study.deviation import distance_squares, side_turns, surface_distance, turn_squares, unfolded
 
 _SMOOTH = 0.02  # temperature of the factors while points move
@@ -93,7 +92,7 @@ def fewer_triangles(
     steps   : of the solver (L-BFGS) for each of its two weights of the limits
     start, progress : ``progress`` hears after each step how far it has got, and from there ``start`` goes on
     options : those of ``tessellation_factors`` but ``anisotropic``, ``verify`` and ``smooth``; method ``certified`` or
-              ``slefe``
+              ``slefe``; normals, if they have to be right, are the surface's
 
     A patch that ends too far away, or turned too much, goes back on a straight line as far as it must, and all the way
     if its triangles did not become fewer. Raises InputError for rational patches, linear ones, and as
@@ -105,6 +104,10 @@ def fewer_triangles(
     request = Request.of(options)
     if not isinstance(request.method, (Certified, Slefe)):
         raise InputError(f"points are moved with smooth factors: method {request.name!r} has none")
+    if options.get("normals", "surface") != "surface":
+        raise InputError(
+            "tangent patches do not follow points that are moved: normals must be 'surface' here", options=("normals",)
+        )
     check_positive("within", within)
     check_positive("turn", turn)
     if min(patches.shape[1:3]) < 3:
@@ -186,7 +189,8 @@ def _objective(given: Any, views: Sequence[View], limits: _Limits, request: Requ
     def objective(offsets: Any, arguments: tuple[Any, Any]) -> tuple[Any, None]:
         given, weight = arguments
         patches = _shifted(given, limits.distance * offsets)
-        counts = jax.lax.map(lambda camera: counted(smooth, patches, View(camera, width, height)), cameras)
+        prepared = with_normals(smooth, patches)
+        counts = jax.lax.map(lambda camera: counted(smooth, prepared, View(camera, width, height)), cameras)
         return jnp.sum(counts) / start + weight * limits.excess(patches, given) / len(given), None
 
     return objective
@@ -222,8 +226,8 @@ def _shifted(given: Any, offsets: Any) -> Any:
 
 def _per_patch(patches: Any, views: Sequence[View], request: Request) -> np.ndarray:
     """Triangles of each patch, summed over views, without rounding."""
-    packed = pack(patches)
-    factors = [np.asarray(predicted(request, packed, view).factor) for view in views]
+    prepared = with_normals(request, patches)
+    factors = [np.asarray(predicted(request, prepared, view).factor) for view in views]
     return 2.0 * np.sum(np.square(factors), axis=0)
 
 

@@ -17,7 +17,7 @@ from slefejax.model.gaussians import Gaussians
 from slefejax.model.rig import Deformation, Pose
 from slefejax.predict.methods import Options, Request
 from slefejax.scene import Scene
-from slefejax.study.budget import counted, moved
+from slefejax.study.budget import counted, moved, with_normals
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,7 @@ def sensitivity(
 
     pose    : a time of the scene's motion, a ``Pose``, or None for the pose at rest
     options : those of ``tessellation_factors`` but ``anisotropic`` and ``verify``; half a pixel and certified if none.
+              Tangent patches, where normals are theirs, are the scene's, and move with it.
               With ``smooth`` ties are shared, without it one of those that tie counts (docs/gradients.md)
 
     Raises InputError for a scene, a pose or options that the functions above would refuse.
@@ -68,11 +69,15 @@ def sensitivity(
             raise InputError(f"{name} finds whole numbers, which have no derivatives: leave it out", options=(name,))
     tolerance = float(request.tolerances.pixels)
     model = _Mesh(scene, pose, deform) if scene.conversion is not None else _Points(scene)
-    sphere = bounding_sphere(scene.points())
+    sphere, normals = bounding_sphere(scene.points()), options.get("normals", "surface")
+    if normals == "tangents":
+        scene.tangents(pose, deform)  # a scene without is refused
 
     def count(at: dict[str, Any], model: Any) -> Any:
         seen = moved(view, sphere, jnp.exp(at["distance"])) if "distance" in at else view
-        return counted(request.at(tolerance * jnp.exp(at["tolerance"])), model.patches(at), seen)
+        tangents = model.tangents(at) if normals == "tangents" else None
+        prepared = with_normals(request, model.patches(at), normals, tangents)
+        return counted(request.at(tolerance * jnp.exp(at["tolerance"])), prepared, seen)
 
     at = {**model.origin(), "tolerance": jnp.zeros(())}
     if view.camera.perspective:
@@ -145,17 +150,24 @@ class _Mesh:
         return found
 
     def patches(self, at: dict[str, Any]) -> Any:
+        assert self.scene.conversion is not None
+        return self.scene.conversion.patchwork.patches(self._changed(at))
+
+    def tangents(self, at: dict[str, Any]) -> Any:
+        assert self.scene.conversion is not None
+        return self.scene.conversion.tangents(self._changed(at))
+
+    def _changed(self, at: dict[str, Any]) -> Any:
+        """Positions, or Gaussians, with what is differentiated by."""
         local, keys = self.pose.local, self.pose.keys
         if local is not None:
             local = local @ _small_motions(at["turns"], at["shifts"])
         if keys is not None:
             keys = keys + at["keys"]
-        assert self.scene.conversion is not None
         moved = self._moved(self.pose._replace(local=local, keys=keys))
         if isinstance(moved, Gaussians):
-            moved = Gaussians(moved.means + at["points"], moved.covariances)
-            return self.scene.conversion.patchwork.patches(moved)
-        return self.scene.conversion.patchwork.patches(moved + at["points"])
+            return Gaussians(moved.means + at["points"], moved.covariances)
+        return moved + at["points"]
 
     def _moved(self, pose: Pose) -> Any:
         """Positions, or Gaussians, in a pose."""
