@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -72,7 +73,7 @@ def test_options_reach_the_prediction(teapot, main_view):
 
 # a cubic bend along u, straight along v: its normals turn unevenly
 BENT = np.array([[[x, v, z] for v in (0.0, 1.0)] for x, z in ((0, 0), (0.2, 0.6), (1, 0.6), (1.2, 0))])[None]
-NORMALS = {"normal_tolerance": 0.2}
+NORMALS: Any = {"normal_tolerance": 0.2}
 
 
 @pytest.mark.parametrize("search", [tolerance_for_budget, pytest.param(distance_for_budget, marks=pytest.mark.slow)])

@@ -137,7 +137,8 @@ def test_normals_of_tangent_patches(rng):
     faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     made = convert(Mesh.of(corners, faces))
     scene = Scene("cube", np.asarray(made.patchwork.patches(corners)), conversion=made)
-    view, options = View(scene.default_camera(), 200, 150), {"tolerance": 20.0, "normal_tolerance": 5.0}
+    view = View(scene.default_camera(), 200, 150)
+    options: Any = {"tolerance": 20.0, "normal_tolerance": 5.0}
     found = sensitivity(scene, view, **options, normals="tangents")
 
     def shaded(vertices):
