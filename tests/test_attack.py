@@ -23,6 +23,7 @@ from slefejax.experiments.attack import products as attack_products
 from slefejax.experiments.attack import settings as attack_settings
 from slefejax.experiments.attack.batch import attack
 from slefejax.experiments.attack.claims import claimed, rng_of, scene_of
+from slefejax.experiments.attack.judge import normals as attack_normals
 from slefejax.experiments.attack.nets import GREGORY, plane
 from slefejax.experiments.attack.offender import script
 from slefejax.experiments.attack.settings import SETTINGS
@@ -310,7 +311,7 @@ def test_the_command(capsys, tmp_path):
     (row,) = result["rows"]
     assert list(row) == [
         *("family", "setting", "pairs", "violations", "worst_ratio"),
-        *("factor_over_minimal_median", "factor_over_minimal_p95", "refused"),
+        *("factor_over_minimal_median", "factor_over_minimal_p95", "without_normal", "refused"),
     ]
     assert row["pairs"] == result["uniform_pairs"] >= 1000
     assert (row["violations"], result["drawn_pairs"], result["offenders"]) == (0, 0, [])
@@ -364,7 +365,7 @@ def test_a_stopped_campaign_goes_on_where_it_was(monkeypatch, capsys, tmp_path):
             judged.append("stop")
             raise KeyboardInterrupt
         judged.append(name)
-        found = {"pairs": 10, "unseen": 1, "refused": 2, "violations": 0, "worst_ratio": 0.5}
+        found = {"pairs": 10, "unseen": 1, "without_normal": 0, "refused": 2, "violations": 0, "worst_ratio": 0.5}
         return {**found, "over_minimal": [1.5], "offenders": []}
 
     monkeypatch.setattr(command, "attack", batch)
@@ -392,3 +393,35 @@ def test_a_process_that_dies_takes_nothing_with_it(tmp_path):
 def test_what_cannot_be_done_is_said(tmp_path, value, error, message):
     with pytest.raises(error, match=message):
         list(results(square, ready, tasks([value], tmp_path), 2))
+
+
+@pytest.mark.parametrize(("family", "setting"), [("bent", "normals-tiles-1"), ("pole", "normals-float32")])
+def test_normals_come_close_and_hold(family, setting):
+    found = attack(family, setting, 1)
+    assert found["violations"] == 0
+    assert found["pairs"] + found["unseen"] + found["without_normal"] == 352
+    assert 0.5 < found["worst_ratio"] <= 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("setting", ["normals-drawn", "normals-drawn-fewest", "normals-verify"])
+def test_normals_hold_where_they_are_seen(setting):
+    """Beside the near plane levels leave out what nobody sees."""
+    assert attack("near-cusp", setting, 2)["violations"] == 0
+
+
+def test_halved_factors_of_normals_are_found_and_reproduce(halved, tmp_path):
+    found = attack("bent", "normals-tiles-1", 1)
+    check_found(found, most=352)
+    worst = {**found["offenders"][0], "setting": "normals-tiles-1"}
+    then = run_script(tmp_path, worst, "--claimed")
+    assert then.returncode == 1, then.stderr
+    assert float(then.stdout.split()[-1]) == pytest.approx(worst["ratio"], rel=1e-9)
+    now = run_script(tmp_path, worst)
+    assert now.returncode == 0, now.stderr
+
+
+def test_a_judge_that_does_not_divide_at_points_is_found_out(monkeypatch):
+    assert attack("pole", "normals-tiles-1", 1)["violations"] == 0
+    monkeypatch.setattr(attack_normals, "_over_distance", lambda net, _: net)
+    check_found(attack("pole", "normals-tiles-1", 1), most=352)

@@ -10,7 +10,8 @@ import pytest
 
 from slefejax import sampled_error
 from slefejax.experiments.attack import judge as attack_judge
-from slefejax.experiments.attack.judge import Look, Screen, judge_triangles, judge_uniform, settled
+from slefejax.experiments.attack.judge.screen import Look, Screen, settled
+from slefejax.experiments.attack.judge.search import judge_triangles, judge_uniform
 from slefejax.experiments.attack.nets import moved, nets
 from slefejax.experiments.attack.views import VIEWS, elsewhere, view_of
 from slefejax.experiments.checks import reference
@@ -32,10 +33,13 @@ def square_cuts(*cuts: int) -> np.ndarray:
 
 def test_it_shares_no_code():
     """Neither with the prediction nor with what else measures."""
-    tree = ast.parse(Path(attack_judge.__file__).read_text())
-    names = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
-    names |= {str(node.module) for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
-    assert names == {"__future__", "functools", "itertools", "math", "typing", "mpmath", "numpy"}
+    names = set()
+    for path in Path(attack_judge.__file__).parent.glob("*.py"):
+        nodes = list(ast.walk(ast.parse(path.read_text())))
+        names |= {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+        names |= {str(node.module) for node in nodes if isinstance(node, ast.ImportFrom)}
+    others = {name for name in names if not name.startswith(f"{attack_judge.__name__}.")}
+    assert others == {"__future__", "functools", "itertools", "math", "typing", "mpmath", "numpy"}
 
 
 @pytest.mark.parametrize(("a", "b", "c"), [(300, 0, 0), (0, 200, 0), (100, 30, 250), (300, 140, -290), (-90, 0, -400)])

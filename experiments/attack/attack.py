@@ -15,10 +15,11 @@ import tyro
 from slefejax import InputError
 from slefejax.arguments import no_such
 from slefejax.experiments.attack.batch import attack
-from slefejax.experiments.attack.judge import ALLOWANCE
+from slefejax.experiments.attack.judge.search import ALLOWANCE
 from slefejax.experiments.attack.nets import FAMILIES
 from slefejax.experiments.attack.offender import script
 from slefejax.experiments.attack.settings import SETTINGS
+from slefejax.experiments.attack.steep import STEEP_FAMILIES
 from slefejax.experiments.attack.workers import results, until
 from slefejax.experiments.cli import start_jax
 from slefejax.experiments.options import OutputOptions, check_count
@@ -27,6 +28,7 @@ from slefejax.experiments.store import Row, Run
 from slefejax.figures.attack.attack import write_attack_figure
 from slefejax.lanes.passes import cores
 
+EVERY_FAMILY = (*FAMILIES, *STEEP_FAMILIES)
 Batch = tuple[str, str, int]  # family, setting, seed
 
 
@@ -71,10 +73,12 @@ class Attack:
         return Report(None, out, table, _title(totals), notes, extra, self.output.json, status)
 
     def _check(self) -> None:
-        for name, given, known in (("family", self.family, FAMILIES), ("setting", self.setting, SETTINGS)):
+        for name, given, known in (("family", self.family, EVERY_FAMILY), ("setting", self.setting, SETTINGS)):
             unknown = [own for own in given if own not in known]
             if unknown:
                 raise InputError(no_such(name, unknown[0], known))
+        if not self._kinds():
+            raise InputError("none of these settings takes any of these families: normals have families of their own")
         check_count("--pairs", self.pairs)
         check_count("--seed", self.seed, 0)
         check_count("--workers", self.workers, 0)
@@ -82,8 +86,8 @@ class Attack:
             raise InputError(f"--hours must be a positive number, not {self.hours}")
 
     def _kinds(self) -> list[tuple[str, str]]:
-        settings, families = self.setting or tuple(SETTINGS), self.family or FAMILIES
-        return [(family, setting) for setting in settings for family in families]
+        settings, families = self.setting or tuple(SETTINGS), self.family or EVERY_FAMILY
+        return [(family, name) for name in settings for family in families if SETTINGS[name].takes(family)]
 
     def _place(self, batch: Batch) -> tuple[int, int]:
         return batch[2], self._kinds().index(batch[:2])
@@ -135,10 +139,17 @@ def summary(rows: list[Row]) -> list[Row]:
                 "worst_ratio": max(row["worst_ratio"] for row in own),
                 "factor_over_minimal_median": float(median),
                 "factor_over_minimal_p95": float(p95),
+                "without_normal": _share_without(own) if SETTINGS[setting].normals else np.nan,
                 "refused": sum(row["refused"] for row in own),
             }
         )
     return found
+
+
+def _share_without(rows: list[Row]) -> float:
+    """Of the patches that are seen, those without a claim on normals."""
+    without = sum(row["without_normal"] for row in rows)
+    return without / max(1, without + sum(row["pairs"] for row in rows))
 
 
 def _totals(rows: list[Row]) -> Row:
@@ -146,7 +157,7 @@ def _totals(rows: list[Row]) -> Row:
     pairs = {True: 0, False: 0}
     for row in rows:
         pairs[row["setting"] in drawn] += row["pairs"]
-    sums = {name: sum(row[name] for row in rows) for name in ("violations", "refused", "unseen")}
+    sums = {name: sum(row[name] for row in rows) for name in ("violations", "refused", "unseen", "without_normal")}
     return {"uniform_pairs": pairs[False], "drawn_pairs": pairs[True], **sums}
 
 
@@ -154,7 +165,8 @@ def _title(totals: Row) -> str:
     return (
         f"{totals['uniform_pairs']:,} pairs of patch and view on uniform grids, {totals['drawn_pairs']:,} as drawn:"
         f" {totals['violations']:,} are further off than the tolerance (by more than {ALLOWANCE:g} of it);"
-        f" {totals['unseen']:,} more are unseen, {totals['refused']:,} were refused"
+        f" {totals['unseen']:,} more are unseen, {totals['without_normal']:,} have no claim on normals,"
+        f" {totals['refused']:,} were refused"
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from slefejax import GregoryPatches
 from slefejax.experiments.attack.claims import Claim, Rng, Scene, claim_of, claimed, rng_of, scene_of
 from slefejax.experiments.attack.drawn import judged_levels
-from slefejax.experiments.attack.judge import ALLOWANCE, Found, Screen, judge_uniform, settled
+from slefejax.experiments.attack.judge.search import ALLOWANCE, Found, judge_uniform
 from slefejax.experiments.attack.products import ProductNets
 from slefejax.experiments.attack.settings import SETTINGS, Setting
 from slefejax.experiments.store import Row
@@ -27,8 +27,8 @@ _COMPARED = (8, 64)  # factors that are compared with minimal ones, one of every
 def attack(family: str, setting: str, seed: int) -> Row:
     """Judge a batch.
 
-    Returns ``pairs``, ``unseen``, ``refused``, ``violations``, the ``worst_ratio``, ``over_minimal`` (factors over
-    minimal ones of some pairs) and ``offenders``, as many as are kept.
+    Returns ``pairs``, ``unseen``, ``without_normal``, ``refused``, ``violations``, the ``worst_ratio``,
+    ``over_minimal`` (factors over minimal ones of some pairs) and ``offenders``, as many as are kept.
     """
     from slefejax.experiments.attack.climb import climb  # which is made of this module's parts
 
@@ -55,10 +55,11 @@ def judged_uniform(
     claims: list[Claim], rng: Rng, extra: tuple[int, ...] = _EXTRA
 ) -> tuple[list[np.ndarray], list[Row]]:
     """The ratios of every claim, cut into ceil(factor) cells or a few more, and some offenders."""
-    screen = Screen.joined([claim.screen() for claim in claims])
+    parts = [claim.judged() for claim in claims]
+    whole = parts[0].joined(parts)
     factor = np.concatenate([claim.factor for claim in claims])
     cuts = _whole_cuts(factor, rng.choice(extra, len(factor)))
-    found = judge_uniform(screen, np.stack([cuts, cuts], axis=1), int(rng.integers(2**31)))
+    found = judge_uniform(whole, np.stack([cuts, cuts], axis=1), int(rng.integers(2**31)))
     ratios, offenders, start = [], [], 0
     for claim in claims:
         own = slice(start, start + len(claim.patches))
@@ -85,7 +86,7 @@ def decided(claim: Claim, found: Found) -> tuple[np.ndarray, list[int]]:
     seen, factor = found.ratio >= 0, claim.factor
     ratio = np.where(seen, found.ratio, 0.0)
     for k in np.flatnonzero(np.isfinite(ratio) & (ratio > 1.0)):
-        ratio[k] = settled(claim.patches[[k]], claim.look, claim.tolerances, found.triangle[k], found.share[k])
+        ratio[k] = claim.settled(int(k), found.triangle[k], found.share[k])
     ratio = np.where(~np.isfinite(factor) | (seen & (factor == 0)), np.inf, ratio)
     return ratio, np.flatnonzero((ratio > 1.0 + ALLOWANCE) & claim.own).tolist()
 
@@ -100,8 +101,8 @@ def _over_minimal(claims: list[Claim], rng: Rng) -> list[float]:
         k = int(rng.choice(fit))
         n = int(np.ceil(claim.factor[k]))
         trials = np.arange(1, n + 1)
-        screen = claim.screen().only(np.full(n, k))
-        ratio = judge_uniform(screen, np.stack([trials, trials], axis=1)).ratio
+        one = claim.judged().only(np.full(n, k))
+        ratio = judge_uniform(one, np.stack([trials, trials], axis=1)).ratio
         fine = trials[(ratio >= 0) & (ratio <= 1.0)]
         found += [n / int(fine[0])] if fine.size else []
     return found
@@ -116,7 +117,7 @@ def _drawn(scene: Scene, setting: Setting, rng: Rng) -> Row:
         if claim is None or not claim.own.any():
             refused += count * (claim is None)
             continue
-        judged, drawn = judged_levels(claim.screen(), claim.found.inner, claim.found.edges)
+        judged, drawn = judged_levels(claim.judged(), claim.found.inner, claim.found.edges)
         claim = claim._replace(own=claim.own & drawn)
         ratio, broken = decided(claim, judged)
         claims.append(claim)
@@ -134,7 +135,7 @@ def _with_neighbours_only(claim: Claim, numbers: np.ndarray, k: int, setting: Se
     smaller = claim_of(claim.patches[own], claim.own[own], claim.look, setting, claim.tolerances, few)
     if smaller is None:
         return None
-    judged, _ = judged_levels(smaller.screen(), smaller.found.inner, smaller.found.edges)
+    judged, _ = judged_levels(smaller.judged(), smaller.found.inner, smaller.found.edges)
     ratio, broken = decided(smaller, judged)
     return _drawn_offender(smaller, few, judged, 0, float(ratio[0])) if 0 in broken else None
 
@@ -158,9 +159,11 @@ def outcome(
     pairs = list(zip(claims, ratios, strict=True))
     ratio = np.concatenate([np.zeros(0), *(own[claim.own] for claim, own in pairs)])
     unseen = sum(int(np.sum(claim.own & (claim.factor == 0))) for claim in claims)
+    without = sum(int(np.sum(claim.own & claim.without)) for claim in claims)
     return {
-        "pairs": len(ratio) - unseen,
+        "pairs": len(ratio) - unseen - without,
         "unseen": unseen,
+        "without_normal": without,
         "refused": refused,
         "violations": int(np.sum(ratio > 1.0 + ALLOWANCE)),
         "worst_ratio": float(np.max(np.minimum(ratio, _WORST), initial=0.0)),

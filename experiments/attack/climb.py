@@ -10,10 +10,10 @@ import numpy as np
 from slefejax import GregoryPatches
 from slefejax.experiments.attack.batch import MOST_OFFENDERS, judged_uniform, outcome
 from slefejax.experiments.attack.claims import Claim, Rng, claim_of, degrees_of, tolerance_for
-from slefejax.experiments.attack.judge import Look
+from slefejax.experiments.attack.judge.screen import Look
 from slefejax.experiments.attack.nets import nets
 from slefejax.experiments.attack.products import ProductNets
-from slefejax.experiments.attack.settings import Setting
+from slefejax.experiments.attack.settings import Setting, Tolerances
 from slefejax.experiments.attack.views import VIEWS
 from slefejax.experiments.store import Row
 
@@ -51,7 +51,7 @@ def climb(family: str, setting: Setting, seed: int, rng: Rng) -> Row:
     ratios, offenders, refused = [], [], 0
     for step in range(STEPS):
         trial = climbers.nets if step == 0 else _stepped(climbers, rng)
-        claim = claim_of(trial, everyone, look, setting, (tolerance, None))
+        claim = claim_of(trial, everyone, look, setting, Tolerances(tolerance))
         if claim is None:
             refused += len(trial)
             continue
@@ -103,11 +103,11 @@ def _aligned(patch: Any, look: Look, setting: Setting, tolerance: float) -> Clai
     """The claim for a tolerance with which the factor of a patch is a whole number, or a hair below."""
     # as many as ever, so that nothing new is compiled
     patches, first = patch[np.zeros(setting.patches, np.int64)], np.arange(setting.patches) == 0
-    claim = claim_of(patches, first, look, setting, (tolerance, None))
+    claim = claim_of(patches, first, look, setting, Tolerances(tolerance))
     for _ in range(_ASKED):
         if claim is None or not claim.factor[0] > 1.0:
             return None
         n = np.rint(claim.factor[0])
         tolerance *= float(claim.factor[0] / n) ** 2 * (1.0 + 1e-12)
-        claim = claim_of(patches, first, look, setting, (tolerance, None))
+        claim = claim_of(patches, first, look, setting, Tolerances(tolerance))
     return claim

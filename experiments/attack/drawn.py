@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from slefejax import triangulate
-from slefejax.experiments.attack.judge import Found, Screen, judge_triangles
+from slefejax.experiments.attack.judge.search import Found, Judged, judge_triangles
 from slefejax.tessellator.levels import MOST_LEVEL, triangle_counts
 
 _MOST = 200_000  # triangles of a view; patches beyond are left out, those with the most first
@@ -17,7 +17,7 @@ def triangles(inner: np.ndarray, outer: np.ndarray) -> tuple[np.ndarray, np.ndar
     return made.patch[made.faces[:, 0]], made.parameters[made.faces]
 
 
-def judged_levels(screen: Screen, inner: np.ndarray, edges: np.ndarray) -> tuple[Found, np.ndarray]:
+def judged_levels(judged: Judged, inner: np.ndarray, edges: np.ndarray) -> tuple[Found, np.ndarray]:
     """The worst place of every patch, and which patches were looked at."""
     counts = triangle_counts(inner, edges)
     order = np.argsort(counts, kind="stable")
@@ -26,4 +26,4 @@ def judged_levels(screen: Screen, inner: np.ndarray, edges: np.ndarray) -> tuple
     drawn &= np.maximum(inner.max(axis=1), edges.max(axis=1)) <= MOST_LEVEL
     # what is said to be unseen is drawn too, coarsely
     own = [np.where((drawn & (counts == 0))[:, None], 1, np.where(drawn[:, None], x, 0)) for x in (inner, edges)]
-    return judge_triangles(screen, *triangles(*own)), drawn
+    return judge_triangles(judged, *triangles(*own)), drawn

@@ -12,16 +12,16 @@ from slefejax.experiments.store import Row
 _SCRIPT = '''"""{title}
 
 python THIS asks the package again and judges what it says now; python THIS --claimed judges what it said then: {claim}.
-Prints the ratio of the error to the tolerance; exit status 1 if that is above 1. The judge is below, in long double.
+Prints the ratio of the error to the tolerance; exit status 1 if that is above 1. {judged_by}
 """
 
 import sys
 from math import comb
 
 import numpy as np
-
+{imports}
 eye, target, up, extent, near, far, perspective, width, height = {look}
-tolerance, depth_tolerance = {tolerances}
+tolerance, depth_tolerance, normal_tolerance = {tolerances}
 patches = np.array({patches}).reshape({shape})
 twists = np.array({twists})  # of Gregory patches
 # of Gaussian products: of the patch that is judged 4 x 4 points (Q 11, 12, 13, 22, 23, 33, h), scale and offset
@@ -41,14 +41,24 @@ def predicted():
     given = patches.astype("{dtype}")
     if twists.size:
         given = sj.GregoryPatches(given, twists.astype("{dtype}"))
-    return sj.tessellation_factors(given, view, tolerance=tolerance, depth_tolerance=depth_tolerance{options})
+    asked = {{"tolerance": tolerance, "depth_tolerance": depth_tolerance, "normal_tolerance": normal_tolerance}}
+    return sj.tessellation_factors(given, view, **asked{options})
 
 
 def long(x):
     return np.asarray(x).astype(np.longdouble)
 
 
-def screen():
+{measure}
+{judge}
+
+if __name__ == "__main__":
+    found = worst("--claimed" in sys.argv[1:])
+    print(f"ratio {{found:.12g}}")
+    sys.exit(found > 1 + 4e-9)
+'''
+
+_POSITIONS = '''def screen():
     """What X, Y, Z over their tolerances from the picture's centre, and W are at (u, v); half the picture over them."""
     forward = long(target) - long(eye)
     forward /= np.sqrt(forward @ forward)
@@ -119,14 +129,22 @@ def ratio(corners, shares):
         return float("inf")
     count = 2 if depth_tolerance is None else 3
     return float(max(np.max(np.abs(a / kept[0][3] - b / kept[1][3])) for a, b in zip(kept[0][:count], kept[1])))
-
-{judge}
-
-if __name__ == "__main__":
-    found = worst("--claimed" in sys.argv[1:])
-    print(f"ratio {{found:.12g}}")
-    sys.exit(found > 1 + 4e-9)
 '''
+
+_NORMALS = '''def ratio(corners, shares):
+    """The largest of triangles (t, 3, 2) at places (s, 3) in them."""
+    look = Look(eye, target, up, extent, near, far, perspective, width, height)
+    own = Normals.of(patches[[which]].astype("{dtype}"), look, normal_tolerance, np.ones(1, bool), hidden={hidden})
+    corners, shares = np.asarray(corners, np.longdouble), np.asarray(shares, np.longdouble)
+    ends = own.at(*corners.reshape(1, -1, 2).transpose(2, 0, 1)).reshape(-1, 3, 7)
+    u, v = (shares @ corners).reshape(1, -1, 2).transpose(2, 0, 1)
+    drawn = (shares @ ends).reshape(1, -1, 7)
+    return float(np.max(own.ratio(own.at(u, v).transpose(2, 0, 1), drawn.transpose(2, 0, 1))))
+'''
+_IMPORT_NORMALS = """
+from slefejax.experiments.attack.judge.normals import Normals
+from slefejax.experiments.attack.judge.screen import Look
+"""
 
 _CLAIMED_UNIFORM = """claimed_factor = {factor}
 more = {more}  # cells a side than ceil(factor)
@@ -179,6 +197,7 @@ def script(found: Row) -> str:
         net, scale, offset = (products[name][which] for name in ("gaussians", "scale", "offset"))
         products = np.ravel(net).tolist(), scale, offset
     text = "".join(f", {name}={value!r}" for name, value in options.items())
+    normals, dtype = setting.normals, np.dtype(setting.dtype).name
     return _SCRIPT.format(
         title=f"{found['family']}, {found['setting']}, seed {found['seed']}: {found['ratio']:.9g} times the tolerance.",
         claim=claim,
@@ -193,7 +212,10 @@ def script(found: Row) -> str:
         share=found["share"],
         claimed=claimed,
         double=setting.double,
-        dtype=np.dtype(setting.dtype).name,
+        dtype=dtype,
+        imports=_IMPORT_NORMALS if normals else "",
+        judged_by=f"The judge is {'that of slefejax attack' if normals else 'below'}, in long double.",
+        measure=_NORMALS.format(dtype=dtype, hidden=setting.hidden) if normals else _POSITIONS,
         options=text + (", edge_numbers=edge_numbers" if drawn else ""),
         judge=_DRAWN if drawn else _UNIFORM,
     )

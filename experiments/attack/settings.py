@@ -6,16 +6,26 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
 from slefejax import Camera, Factors, InputError, View, tessellation_factors
-from slefejax.experiments.attack.judge import Look
+from slefejax.experiments.attack.judge.screen import Look
+from slefejax.experiments.attack.nets import GAUSSIAN, GREGORY
 from slefejax.experiments.attack.products import asked
+from slefejax.experiments.attack.steep import STEEP_FAMILIES
 from slefejax.experiments.attack.views import view_of
 from slefejax.predict.methods import Certified
+
+
+class Tolerances(NamedTuple):
+    """Of pixels, of window depth and of normals in degrees; None: there is none."""
+
+    pixels: float
+    depth: float | None = None
+    degrees: float | None = None
 
 
 @dataclass(frozen=True)
@@ -27,6 +37,7 @@ class Setting:
               ``.edges``; ``climb``: uniform grids of nets that are moved towards the worst ratio
     dtype   : of the control points;  double : whether JAX computes in double precision
     depth   : whether window depth is held to a tolerance too
+    normals : whether normals are held to a tolerance, and judged instead of positions
     traced  : whether patches, view and tolerance are traced
     patches : of a batch
     claims  : of uniform grids: with different tolerances, of every view
@@ -41,6 +52,7 @@ class Setting:
     dtype: Any = np.float64
     double: bool = True
     depth: bool = False
+    normals: bool = False
     traced: bool = False
     patches: int = 32
     claims: int = 3
@@ -59,6 +71,16 @@ class Setting:
         slow = ("verify", "anisotropic")
         return replace(self, options={name: value for name, value in self.options.items() if name not in slow})
 
+    @property
+    def hidden(self) -> bool:
+        """Whether a claim on normals is one where points are not seen, too: not of levels, which are found by sight."""
+        return self.judged != "drawn" and not self.options.get("verify")
+
+    def takes(self, family: str) -> bool:
+        """Whether nets of a family can be asked about; steep ones are for normals, Gregory patches for positions."""
+        others = (*GREGORY, GAUSSIAN) if self.normals else STEEP_FAMILIES
+        return family not in others
+
     def precision(self) -> AbstractContextManager:
         """JAX as this setting has it."""
         return jax.enable_x64(self.double)
@@ -67,6 +89,7 @@ class Setting:
 _DRAWN: dict[str, Any] = {"judged": "drawn", "levels": (4.0, 64.0), "share": (0.8, 1.0), "most": 200.0}
 _SMALL: dict[str, Any] = {"levels": (1.0, 8.0), "share": (0.5, 1.0), "most": 30.0}
 _PROVED: dict[str, Any] = {"patches": 8, "claims": 1, "levels": (2.0, 12.0), "most": 20.0}
+_NORMALS: dict[str, Any] = {"normals": True, "claims": 1}
 SETTINGS = {
     setting.name: setting
     for setting in (
@@ -89,6 +112,12 @@ SETTINGS = {
         Setting("drawn-small", {}, "drawn", **_SMALL),
         Setting("drawn-small-fewest", {"levels": "fewest", "anisotropic": True}, "drawn", **_SMALL),
         Setting("drawn-float32", {"tiles": 1}, dtype=np.float32, **_DRAWN),
+        Setting("normals", **_NORMALS),
+        Setting("normals-tiles-1", {"tiles": 1}, **_NORMALS),
+        Setting("normals-float32", dtype=np.float32, **_NORMALS),
+        Setting("normals-verify", {"tiles": 1, "verify": True}, normals=True, **_PROVED),
+        Setting("normals-drawn", normals=True, **_DRAWN),
+        Setting("normals-drawn-fewest", {"levels": "fewest", "anisotropic": True}, normals=True, **_DRAWN),
         Setting("drawn-past-64", {"tiles": 1}, "drawn", patches=12, levels=(57.0, 64.0), share=(0.5, 0.9), most=200.0),
     )
 }
@@ -98,8 +127,7 @@ def predicted(
     patches: Any,
     look: Look,
     setting: Setting,
-    tolerance: float,
-    depth_tolerance: float | None = None,
+    tolerances: Tolerances,
     edge_numbers: np.ndarray | None = None,
 ) -> Factors | None:
     """What is claimed, or None where it is refused in words. Levels are asked for where edges are given."""
@@ -107,13 +135,14 @@ def predicted(
     try:
         with setting.precision():
             if setting.traced:
-                return _traced(patches, look, setting, tolerance)
+                return _traced(patches, look, setting, tolerances.pixels)
             found = tessellation_factors(
                 patches,
                 view_of(look),
                 method,
-                tolerance=tolerance,
-                depth_tolerance=depth_tolerance,
+                tolerance=tolerances.pixels,
+                depth_tolerance=tolerances.depth,
+                normal_tolerance=tolerances.degrees,
                 edge_numbers=edge_numbers,
             )
             if edge_numbers is not None:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from slefejax.experiments.attack.judge import Look
+from slefejax.experiments.attack.judge.screen import Look
 from slefejax.geometry.view import Camera, View
 
 Rng = np.random.Generator
