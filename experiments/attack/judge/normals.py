@@ -50,7 +50,8 @@ class Normals(NamedTuple):
     @staticmethod
     def joined(parts: list[Normals]) -> Normals:
         """The pairs of several views."""
-        net, degrees, claimed = (np.concatenate([part[k] for part in parts]) for k in (1, 2, 3))
+        arrays = zip(*((part.net, part.degrees, part.claimed) for part in parts), strict=True)
+        net, degrees, claimed = (np.concatenate(x) for x in arrays)
         return Normals(Screen.joined([part.screen for part in parts]), net, degrees, claimed, parts[0].hidden)
 
     @property
