@@ -76,6 +76,7 @@ BENT = np.array([[[x, v, z] for v in (0.0, 1.0)] for x, z in ((0, 0), (0.2, 0.6)
 NORMALS: Any = {"normal_tolerance": 0.2}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("search", [tolerance_for_budget, pytest.param(distance_for_budget, marks=pytest.mark.slow)])
 def test_normals_stay_right_within_a_budget(search):
     view = View(Camera.look_at((0.6, -4, 1), (0.6, 0.5, 0.2)), 200, 150)

@@ -112,6 +112,7 @@ def rational(seed):
     return np.concatenate([weights * np.concatenate([waves(rng, 4, 3) for _ in range(4)]), weights], axis=-1)
 
 
+@pytest.mark.slow
 def test_rational_patches_by_loops():
     patches = rational(5)
     patches[0, 0] = patches[0, 0, :1] / patches[0, 0, :1, 3:] * patches[0, 0, :, 3:]  # a point of several weights
@@ -121,6 +122,7 @@ def test_rational_patches_by_loops():
     np.testing.assert_allclose(alike, sampled_normal_error(patches, np.full(4, 4), ABOVE), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_gregory_patches_by_loops(models):
     scene = load(models / "monsterfrog.obj", scheme="gregory")
     patches = scene.patches()[np.linspace(0, len(scene.patches()) - 1, 30).astype(int)]
@@ -277,6 +279,7 @@ def test_bad_arguments(call, says):
         call(waves(1))
 
 
+@pytest.mark.slow
 @pytest.mark.gl
 @pytest.mark.parametrize("kind", ["teapot", "rational"])
 def test_no_pixel_errs_more_than_the_domain(device, teapot, kind):

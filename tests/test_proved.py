@@ -78,7 +78,9 @@ def test_two_hundred_scenes(first):
 
 def test_these_scenes_break_levels_that_are_not_proved_last(monkeypatch):
     """A saddle for which 64 along u and v is enough is raised along one of them alone."""
-    monkeypatch.setattr("slefejax.predict.drawn.proved_levels", lambda certificate, inner, edges, *_: (inner, edges))
+    monkeypatch.setattr(
+        "slefejax.predict.drawn.levels.proved_levels", lambda certificate, inner, edges, *_: (inner, edges)
+    )
     assert max(worst(seed, "saddles", 0.05, tiles=1) for seed in range(6)) > 1.1
 
 
@@ -102,7 +104,9 @@ def test_levels_stay_as_chosen_where_they_are_proved(teapot, main_view, monkeypa
     """On the teapot, whose levels are all below 64, nothing is raised in the end."""
     found = tessellation_factors(teapot.patches(), main_view, tiles=1, edge_numbers=teapot.edge_numbers)
     inner, edges = found.inner, found.edges
-    monkeypatch.setattr("slefejax.predict.drawn.proved_levels", lambda certificate, inner, edges, *_: (inner, edges))
+    monkeypatch.setattr(
+        "slefejax.predict.drawn.levels.proved_levels", lambda certificate, inner, edges, *_: (inner, edges)
+    )
     again = tessellation_factors(teapot.patches(), main_view, tiles=1, edge_numbers=teapot.edge_numbers)
     assert np.array_equal(again.inner, inner)
     assert np.array_equal(again.edges, edges)

@@ -45,6 +45,7 @@ def test_factors_name_patches_without_a_claim(capsys):
     assert "normals within 0.5° on all but 1" in said
 
 
+@pytest.mark.slow
 @pytest.mark.gl
 def test_a_sweep_measures_normals(device, capsys):
     result = run_json(capsys, *SWEEP)
@@ -80,6 +81,7 @@ def test_minimal_factors_are_by_both_tolerances():
     assert both.minimal[1] == plain.minimal[1], "without a claim on its normals"
 
 
+@pytest.mark.slow
 @pytest.mark.gl
 def test_certify_measures_normals_over_the_domain(device, capsys):
     result = run_json(capsys, "certify", "cusped.bpt", "--size", "120x80", "--normal-tolerance", "0.2")
@@ -99,6 +101,7 @@ def test_certify_measures_normals_over_the_domain(device, capsys):
     assert {UNCLAIMED, FOR_CERTIFIED} <= set(result["notes"])
 
 
+@pytest.mark.slow
 @pytest.mark.gl
 def test_error_time_measures_normals(device, capsys):
     command = ["error-time", "cusped.bpt", "--size", "120x80", "--repeats", "1", "--normal-tolerance", "0.2"]
@@ -112,6 +115,7 @@ def test_error_time_measures_normals(device, capsys):
     assert "--normal-tolerance is for certified, which --methods leaves out" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.gl
 def test_a_film_measures_normals_of_tangent_patches(device, capsys):
     still = ["animate", "walker", "--size", "120x80", "--frames", "2", "--seconds", "0.01"]

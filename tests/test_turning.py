@@ -127,6 +127,7 @@ def test_triangles_of_the_teapot_keep_an_angle_as_drawn(teapot):
         assert sj.triangle_error(patches, drawn, view).max() <= 0.5
 
 
+@pytest.mark.slow
 def test_verify_finds_smaller_factors_that_hold(rng):
     patches = sheets(rng, 8, (4, 4, 3))
     loose, tight = (
@@ -177,6 +178,7 @@ def _beside(x, y, step):
     return [((x + step, y), (x - step, y)), ((x, y + step), (x, y - step))]
 
 
+@pytest.mark.slow
 def test_inside_of_jit_factors_are_the_same(rng):
     patches = sheets(rng, 5, (4, 4, 3))
 
@@ -210,6 +212,7 @@ def test_without_a_tolerance_there_are_no_normals_in_the_trace(teapot):
     assert any("normals" in said for said in Session(teapot).left_out())
 
 
+@pytest.mark.slow
 def test_sessions_know_normals_of_every_pose():
     walker = sj.load("walker")
     view = View(walker.default_camera(), 640, 400)
@@ -265,6 +268,7 @@ def test_short_sides_far_away_are_no_points(half):
     assert np.all(np.asarray(found.without_normal)) or sj.sampled_normal_error(patches, n, view).max() <= 1.0
 
 
+@pytest.mark.slow
 def test_sides_that_rounding_leaves_are_points(rng):
     patches = sheets(rng, 2, (4, 4, 4), steep=0.05)
     corner = patches[:, 0, :1, :3] / patches[:, 0, :1, 3:]

@@ -114,7 +114,8 @@ def _criteria(
     given = on_host(check_patches(patches, gregory=True))
     kind_of_normals(normals)
     if tolerance is None and normal_tolerance is None:
-        raise InputError("a tolerance is needed: in pixels, normal_tolerance= in degrees, or both")
+        said = "a tolerance is needed: in pixels, normal_tolerance= in degrees, or both"
+        raise InputError(said, options=("tolerance", "normal_tolerance"))
     if tolerance is not None:
         check_positive("tolerance", tolerance)
     if normal_tolerance is not None:

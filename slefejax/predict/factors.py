@@ -202,7 +202,7 @@ def tessellation_factors(
     tolerance       : pixels
     depth_tolerance : window depth (0 to 1), or None for no depth test; of ``certified`` and ``slefe``
     normal_tolerance : degrees, more than 0 and less than 90, or None; of ``certified``. Interpolated normals, as a
-                      ``Renderer(…, normals=…)`` draws them, are no further from the exact ones, on all patches but
+                      ``Renderer(…, normals=…)`` draws them, are where they are seen no further from exact ones, on all patches but
                       those ``without_normal``, whose normals do not exist somewhere, such as at cusps
     normals         : which these are: ``"surface"``, p_u x p_v, or ``"tangents"``, the cross product of tangent patches
     tangents        : these, along u ``(patches, du, dv+1, 3)`` and along v, as ``scene.tangents()`` returns them
@@ -253,7 +253,9 @@ def shaded(request: Request, prepared: Prepared, normals: str = "surface", tange
     kind = kind_of_normals(normals)
     if request.normal_tolerance is None:
         if tangents is not None or kind == "tangents":
-            raise InputError("normals and tangents are for a normal_tolerance: give one", options=("normals",))
+            raise InputError(
+                "normals and tangents are for a normal_tolerance: give one", options=("normals", "normal_tolerance")
+            )
         return prepared
     packed, method = prepared.packed, request.method
     nets = tangent_nets(packed.patches(), kind, tangents)
