@@ -202,8 +202,8 @@ def tessellation_factors(
     tolerance       : pixels
     depth_tolerance : window depth (0 to 1), or None for no depth test; of ``certified`` and ``slefe``
     normal_tolerance : degrees, more than 0 and less than 90, or None; of ``certified``. Interpolated normals, as a
-                      ``Renderer(…, normals=…)`` draws them, are where they are seen no further from exact ones, on all patches but
-                      those ``without_normal``, whose normals do not exist somewhere, such as at cusps
+                      ``Renderer(…, normals=…)`` draws them, are where they are seen no further from the exact ones, on
+                      all patches but those ``without_normal``, whose normals do not exist somewhere, such as at cusps
     normals         : which these are: ``"surface"``, p_u x p_v, or ``"tangents"``, the cross product of tangent patches
     tangents        : these, along u ``(patches, du, dv+1, 3)`` and along v, as ``scene.tangents()`` returns them
     edge_numbers    : ``(patches, 4)``, the result of ``shared_edges``, if it is already known
