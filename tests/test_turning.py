@@ -293,3 +293,31 @@ def test_points_far_apart_beside_points_close_together(rng):
     for net, factor in zip(undivided(patches)[claimed], np.asarray(found.factor)[claimed], strict=True):
         if factor <= 25:
             assert on_grid(net, int(np.ceil(factor))) <= 1.0
+
+
+def test_tangent_patches_keep_the_angle(rng):
+    """Of a cube, uniformly cut and as drawn, and where normals are finer than the tessellator's limit."""
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) + 0.1 * rng.normal(size=(8, 3))
+    faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    made = sj.convert(sj.Mesh.of(corners, faces))
+    patches, tangents = np.asarray(made.patchwork.patches(corners)), made.tangents(corners)
+    shaded = {"normals": "tangents", "tangents": tangents}
+    view = View(Camera.orthographic((0.5, 0.5, 9), (0.5, 0.5, 0), up=(0, 1, 0), height=4.0), 300, 300)
+    for allowed in (2.0, 0.01):
+        found = tessellation_factors(patches, view, tolerance=1e6, normal_tolerance=allowed, **shaded)
+        assert not np.any(np.asarray(found.without_normal))
+        drawn = sj.triangulate(patches, found)
+        assert 0.5 * allowed < sj.triangle_normal_error(patches, drawn, view, **shaded).max() <= allowed
+        uniform = np.ceil(found.factor).astype(int)
+        assert sj.sampled_normal_error(patches, uniform, view, **shaded).max() <= allowed
+    assert found.inner.max() > 64
+
+
+def test_tiny_rational_patches_at_the_origin_have_claims(rng):
+    patches = sheets(rng, 4, (3, 3, 4))
+    corner = patches[:, :1, :1, :3] / patches[:, :1, :1, 3:]
+    patches[..., :3] = 1e-8 * (patches[..., :3] - patches[..., 3:] * corner)
+    view = View(Camera.orthographic((0, 0, 1e-6), (0, 0, 0), up=(0, 1, 0), height=1e-6), 300, 300)
+    for dtype in (np.float64, np.float32):
+        found = tessellation_factors(patches.astype(dtype), view, tolerance=1e6, normal_tolerance=2.0)
+        assert not np.any(np.asarray(found.without_normal))

@@ -292,7 +292,8 @@ def _checked(shape: tuple[int, ...], tangents: Any) -> TangentNets:
             f" {' and '.join(str(net.shape) for net in nets)}"
         )
     known = [net for net in nets if not isinstance(net, Tracer)]
-    small = [np.ones(count, bool), *(np.all(np.abs(net) < LARGEST, axis=(1, 2, 3)) for net in known)]
+    small = [np.ones(count, bool)]
+    small += [np.all(np.abs(net, dtype=np.float64) < LARGEST, axis=(1, 2, 3)) for net in known]
     bad = np.flatnonzero(~np.all(small, axis=0))
     if bad.size:
         raise InputError(f"patch {bad[0]} (counted from 0) has tangents that are not numbers below {LARGEST:g}")

@@ -25,13 +25,10 @@ from slefejax.lanes import loops, nets
 from slefejax.lanes.maxima import EXACT, Maxima, larger, smaller
 from slefejax.lanes.nets import Lanes, Net
 from slefejax.lanes.tuning import TUNING
-from slefejax.predict.terms import Terms, solved
+from slefejax.predict.terms import FOURTH, THIRD, Terms, solved
 
 Hessian = tuple[Net | None, ...]  # uu, uv, vv
 
-# d/du, d/dv, multiplicity
-_THIRD = ((3, 0, 1.0), (2, 1, 3.0), (1, 2, 3.0), (0, 3, 1.0))
-_FOURTH = ((4, 0, 1.0), (3, 1, 4.0), (2, 2, 6.0), (1, 3, 4.0), (0, 4, 1.0))
 _ROUNDING = 16.0  # a coefficient of a tile is wrong by at most half of this, in eps of the sum of its terms' sizes
 
 
@@ -308,7 +305,7 @@ def _remainder(screen: Screen, piece: Piece, k: int, extent: Extent, maxima: Max
 
     def thirds(row: Net, w: Net) -> tuple[list[Net], list[Net]]:
         about = nets.each(lambda x, y: x - middle * y, row, w)
-        one, other = ([nets.differences(net, i, j) for i, j, _ in _THIRD] for net in (about, w))
+        one, other = ([nets.differences(net, i, j) for i, j, _ in THIRD] for net in (about, w))
         return one, other
 
     def sizes(about: Net, w: Net, kind: tuple[int, int, float]) -> Net:
@@ -323,12 +320,12 @@ def _remainder(screen: Screen, piece: Piece, k: int, extent: Extent, maxima: Max
 
     own, depth = thirds(screen.rows[k], screen.w)
     more = [[nets.differences(net[0], 1, 0), *(nets.differences(x, 0, 1) for x in net)] for net in (own, depth)]
-    fourth = nets.total(tops(more[0], more[1], _FOURTH)) / 288.0
+    fourth = nets.total(tops(more[0], more[1], FOURTH)) / 288.0
     if not screen.rational:
-        uuu, uuv, uvv, vvv = tops(own, depth, _THIRD)
+        uuu, uuv, uvv, vvv = tops(own, depth, THIRD)
         return Remainder(uuu + uuv, vvv + uvv, fourth)
     own, depth = thirds(piece.rows[k], piece.w)
-    found = [sizes(*each) for each in zip(own, depth, _THIRD, strict=True)]
+    found = [sizes(*each) for each in zip(own, depth, THIRD, strict=True)]
     nothing = nets.each(jnp.zeros_like, piece.w)
     raised = [nets.raised(net, *degrees) if nets.size(net) else nothing for net in found]
     along = [nets.each(lambda x, y, i: (x + y) * i, *two, piece.inverse) for two in (raised[:2], raised[2:])]

@@ -10,6 +10,9 @@ from slefejax.lanes import loops
 from slefejax.lanes.maxima import Maxima, larger
 from slefejax.lanes.nets import Lanes
 
+# d/du, d/dv, multiplicity
+THIRD = ((3, 0, 1.0), (2, 1, 3.0), (1, 2, 3.0), (0, 3, 1.0))
+FOURTH = ((4, 0, 1.0), (3, 1, 4.0), (2, 2, 6.0), (1, 3, 4.0), (0, 4, 1.0))
 _TURNS = 2  # towards the n that a tile needs
 
 

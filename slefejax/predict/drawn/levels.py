@@ -8,11 +8,11 @@ from jaxtyping import Int
 from slefejax.predict.certificate import Certificate
 from slefejax.predict.drawn.fewest import lowered_levels
 from slefejax.predict.drawn.proved import proved_levels
+from slefejax.predict.normals.shading import MOST
 from slefejax.tessellator.edges import edge_maxima
 from slefejax.tessellator.levels import HIGHEST_LEVEL, with_pieces
 
 _HIGHEST_TRIED = 96  # of a level that 64 might do for
-_HIGHEST_TURNED = 1024  # the same where normals have to be right, whose factors may be three times as high as needed
 _FAR_TOO_LARGE = 1e6  # an error
 _MORE = 3  # cells along one side that are tried at once, to save some along the other
 _ROUNDS = 64
@@ -50,7 +50,8 @@ def _coarsest(certificate: Certificate) -> Int[np.ndarray, "patches"]:
     """The same along u and v. How much a grid errs tells which one to look at next."""
     found = certificate.even.copy()
     failed, trial = np.zeros_like(found), np.minimum(found - 1, HIGHEST_LEVEL)
-    worth = found <= (_HIGHEST_TRIED if certificate.normals is None else _HIGHEST_TURNED)
+    # factors of normals may be three times as high as needed
+    worth = found <= (_HIGHEST_TRIED if certificate.normals is None else MOST)
     while (own := np.flatnonzero(worth & (failed < trial) & (trial < found) & (trial <= HIGHEST_LEVEL))).size:
         error = certificate.grid_errors(own, np.repeat(trial[own, None], 2, axis=1))
         fine = error <= 1.0

@@ -132,10 +132,9 @@ def _lengths_keep(
         own = patch[block], side[block], length[block], width[block]
         holds[block] = _positions_keep(certificate, *own)
         if certificate.normals is not None:
-            axis, nets = OWN_AXIS[side[block]], _along_sides(certificate.normals.nets(patch[block]), *own[1::2])
-            holds[block] &= certificate.normals.triangles_keep(
-                nets, patch[block], axis, length[block], certificate.scale
-            )
+            strips_of = lambda nets, which, own=own: _along_sides(nets, own[1][which], own[3][which])  # noqa: E731
+            given = own[0], OWN_AXIS[own[1]], own[2], certificate.scale, strips_of
+            holds[block] &= certificate.normals.triangles_keep(*given)
     return holds
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from slefejax.bounds.triangles import AnyTriangle, HalfCells
 from slefejax.lanes import layout, loops, passes
@@ -26,30 +26,36 @@ class NormalClaim:
     tiles: int
     claimed: Bool[np.ndarray, "patches"]
 
-    def nets(self, patch: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n ku kv 3"]:
-        """Undivided normals."""
-        return np.moveaxis(self.turned(patch).net, -1, 0)
-
     def boxes(self, patch: np.ndarray, extents: np.ndarray, evenness: Any) -> Float[np.ndarray, "n"]:
         """Real factors for halves of boxes of sides extent/n (``Certificate.factors``); 0 without a claim."""
         numbers = np.column_stack([extents, np.broadcast_to(evenness, len(patch))])
-        return self._through(_boxes_pass, self.nets(patch), patch, numbers)
+        return self._through(_boxes_pass, patch, numbers)
 
     def triangles_keep(
-        self, nets: np.ndarray, patch: np.ndarray, along: np.ndarray, length: np.ndarray, scale: float
+        self,
+        patch: np.ndarray,
+        along: np.ndarray,
+        length: np.ndarray,
+        scale: float,
+        part: Callable[[np.ndarray, np.ndarray], np.ndarray],
     ) -> Bool[np.ndarray, "n"]:
-        """Whether triangles of any shape, of a length along an axis of nets, keep the angle."""
-        size, extents = shape_of(along, length, 1.0)
-        return scale * size * self._through(_triangles_pass, nets, patch, extents) <= 1.0
+        """Whether triangles of any shape, of a length along an axis of parts of nets, keep the angle.
 
-    def _through(self, compiled: Any, nets: np.ndarray, patch: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+        part : makes these parts of the nets ``(m, ku+1, kv+1, 3)`` of some of the patches, whose places it is told
+        """
+        size, extents = shape_of(along, length, 1.0)
+        return scale * size * self._through(_triangles_pass, patch, extents, part) <= 1.0
+
+    def _through(self, compiled: Any, patch: np.ndarray, numbers: np.ndarray, part: Any = None) -> np.ndarray:
         found = np.zeros(len(patch))
         own = np.flatnonzero(self.claimed[patch])
         if len(own):
-            numbers = np.column_stack([numbers[own], self.turned(patch[own]).sizes])
+            made = self.turned(patch[own])
+            nets = np.moveaxis(made.net, -1, 0)
+            nets, numbers = nets if part is None else part(nets, own), np.column_stack([numbers[own], made.sizes])
             run = lambda given: compiled(given, self.angle, self.tiles)  # noqa: E731
             with jax.enable_x64(True):
-                found[own] = layout.through(run, (nets[own], numbers), np.float64)
+                found[own] = layout.through(run, (nets, numbers), np.float64)
         return found
 
 

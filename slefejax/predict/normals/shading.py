@@ -1,4 +1,4 @@
-"""Factors for interpolated normals, and what decides which triangles keep an angle (docs/certified.md, 11).
+"""Factors for interpolated normals (docs/certified.md, 11).
 
 They do not depend on the view: what is found for patches serves all views.
 """
@@ -71,7 +71,7 @@ def _relative(control: Any) -> tuple[Any, Any]:
     corner, weights = control[:1, :1, :3] / control[:1, :1, 3:], control[:, :, 3:]
     points = control[:, :, :3] - weights * corner
     near = xp.concatenate([points / _largest(points), weights / _largest(weights)], axis=2)
-    return near, 6.0 * (nu - 1) * (nv - 1) * (1.0 + _largest(weights * corner) / _largest(points))
+    return near, 6.0 * (nu - 1) * (nv - 1) * (1.0 + _top(weights * corner) / _largest(points))
 
 
 def _grown(divided: Any, shape: tuple[int, ...]) -> Any:
@@ -93,12 +93,17 @@ class Tangents(NamedTuple):
         return without_collapsed(crossed(*near), self.still), size
 
 
-def _largest(net: Any) -> Any:
-    """The size of the largest number of a net, or 1 where all are 0."""
+def _top(net: Any) -> Any:
+    """The size of the largest number of a net; what numbers are divided by has no slope."""
     xp = array_module(net)
     size = xp.max(xp.abs(net), axis=(0, 1, 2))
-    size = xp.where(size > 0, size, xp.ones_like(size))
     return size if xp is np else jax.lax.stop_gradient(size)
+
+
+def _largest(net: Any) -> Any:
+    """The same, or 1 where all are 0."""
+    size, xp = _top(net), array_module(net)
+    return xp.where(size > 0, size, xp.ones_like(size))
 
 
 @loops.chunked
@@ -225,9 +230,12 @@ class Shading:
 
     def claim(self) -> NormalClaim:
         """What tells which triangles keep the angle."""
-        angle = float(np.deg2rad(float(self.degrees)))
         pictures, claimed = Pictures(self._turned, len(self.packed)), np.isfinite(self.factor)
-        return NormalClaim(pictures, self._turned, angle, _FINER * self.tiles, claimed)
+        return NormalClaim(pictures, self._turned, self._angle, _FINER * self.tiles, claimed)
+
+    @property
+    def _angle(self) -> float:
+        return float(np.deg2rad(float(self.degrees)))
 
     def _turned(self, which: np.ndarray) -> Turned:
         """In double precision, whatever the patches are in."""
@@ -238,4 +246,4 @@ class Shading:
             along_u, along_v = (np.moveaxis(np.asarray(own, np.float64)[which], 0, -1) for own in self.tangents)
             given = Tangents(along_u, along_v, np.asarray(self._still)[which].T)
         net, size = given.undivided()
-        return Turned(net, size, float(np.deg2rad(float(self.degrees))))
+        return Turned(net, size, self._angle)

@@ -18,12 +18,11 @@ from slefejax.geometry.bezier import tile_matrices
 from slefejax.lanes import loops, nets
 from slefejax.lanes.maxima import EXACT, Maxima, larger, root
 from slefejax.lanes.nets import Lanes
-from slefejax.predict.terms import Terms, solved
+from slefejax.predict.terms import FOURTH, THIRD, Terms, solved
 
 _SECOND = ((2, 0, 1.0), (1, 1, 2.0), (0, 2, 1.0))  # d/du, d/dv, multiplicity
-_THIRD = ((3, 0, 1.0), (2, 1, 3.0), (0, 3, 1.0), (1, 2, 3.0))
-_FOURTH = ((4, 0, 1.0), (3, 1, 4.0), (2, 2, 6.0), (1, 3, 4.0), (0, 4, 1.0))
-_ROUNDING = 64.0  # a coefficient of a tile is wrong by at most that, in eps of the net's size
+# A coefficient of the net is wrong by at most that, in eps of its size, and what makes tiles of it adds an eighth
+_ROUNDING = 64.0
 
 Vectors = Array  # (ku+1, kv+1, 3, lanes)
 Numbers = Array  # (ku+1, kv+1, lanes)
@@ -64,7 +63,7 @@ def turning(
     triangles : for which that holds; None: all cells of grids
     """
     shapes = HalfCells() if triangles is None else triangles
-    whole = [nets.total([_largest(net, own, shapes.extent, maxima) for own in kind]) for kind in (_SECOND, _FOURTH)]
+    whole = [nets.total([_largest(net, own, shapes.extent, maxima) for own in kind]) for kind in (_SECOND, FOURTH)]
 
     def step(found: Turning, matrices: Any) -> Turning:
         tile = _Tile.of(_linear(net, lambda flat: nets.combined(flat, *matrices)), size, maxima)
@@ -87,7 +86,7 @@ class _Tile(NamedTuple):
     deep: Lanes  # it is positive
     widest: Lanes  # 1 over the least of it
     reach: Lanes  # how far N over it is from m
-    error: Lanes  # of a coefficient
+    error: Lanes  # of a coefficient of the whole net
     about: Vectors  # a bilinear t that has the values of N over it at the corners, at the places of coefficients
     slopes: tuple[Lanes, Lanes]  # how much t changes along u and along v
 
@@ -98,9 +97,9 @@ class _Tile(NamedTuple):
         axis = mean / _positive(_length(mean))
         error = _ROUNDING * float(jnp.finfo(net.dtype).eps) * size
         w = _along(net, axis)
-        least = nets.bottom(w) - error
+        least = nets.bottom(w) - 2.0 * error
         deep = least > 0
-        w, over = loops.once((jnp.where(deep, w, 1.0), 1.0 / jnp.where(deep, w - error, 1.0)))
+        w, over = loops.once((jnp.where(deep, w, 1.0), 1.0 / jnp.where(deep, w - 2.0 * error, 1.0)))
         widest = 1.0 / jnp.where(deep, least, 1.0)
         reach = _longest(net * over[:, :, None] - axis, maxima) + error * widest
         (a, b), (c, d) = ends = [[net[i, j] / w[i, j] for j in (0, -1)] for i in (0, -1)]
@@ -111,11 +110,11 @@ class _Tile(NamedTuple):
     def turning(self, whole: list[Lanes], angle: Any, triangles: Triangles, tiles: int, maxima: Maxima) -> Turning:
         """Of the points in the tile. whole: sums of sizes of second and of fourth derivatives of all of the patch."""
         degree, scale = float(sum(nets.degrees(self.net))), self.widest / angle
+        blur = [(1.0 + tiles**order / 8.0) * (2.0 * degree) ** order * self.error * scale for order in (2, 3)]
         second, corners = self._bend(triangles, maxima)
-        second = second * tiles**2 / angle + 4.0 * degree**2 * self.error * scale
-        along = [self._third(kind, triangles.extent, maxima) * tiles**3 for kind in _THIRD]
-        along = [(own + 8.0 * degree**3 * self.error) * scale for own in along]
-        third, least = triangles.third(along[0] + along[1], along[2] + along[3], maxima)
+        second = second * tiles**2 / angle + blur[0]
+        uuu, uuv, uvv, vvv = (self._third(kind, triangles.extent, maxima) * tiles**3 * scale for kind in THIRD)
+        third, least = triangles.third(uuu + uuv + blur[1], vvv + uvv + blur[1], maxima)
         fourth = (whole[1] * root(1.0 + self.reach**2) + 16.0 * degree**4 * self.error) / 288.0 * scale
         square = solved(Terms(second, third, fourth, least, whole[0] / 8.0 * self.widest), maxima)
         square = square * (1.0 + 128.0 * float(jnp.finfo(self.net.dtype).eps))
