@@ -23,7 +23,7 @@ _THIRD = ((3, 0, 1.0), (2, 1, 3.0), (1, 2, 3.0), (0, 3, 1.0))  # d/du, d/dv, mul
 # How far quadratic interpolation on a triangle in the unit square errs for a constant third derivative of size 1,
 # 1/(72 sqrt 3); for one that differs by 1 from a constant it is VARYING
 CONSTANT = 0.00802
-_IN_QUARTERS = np.indices((5, 5)).reshape(2, 25, 1) / 4.0
+IN_QUARTERS = np.indices((5, 5)).reshape(2, 25, 1) / 4.0
 
 
 class Places(NamedTuple):
@@ -113,13 +113,18 @@ class Window(NamedTuple):
 
     def corners(self, net: Net, twists: list[Lanes]) -> list[Lanes]:
         """Values at the cell's corners, counter-clockwise."""
+        return [_value(net, twists, u, v) for u, v in self.places]
+
+    @property
+    def places(self) -> list[tuple[Lanes, Lanes]]:
+        """(u, v) of these."""
         (u0, v0), (u1, v1) = self.low, self.high
-        return [_value(net, twists, u, v) for u, v in ((u0, v0), (u1, v0), (u1, v1), (u0, v1))]
+        return [(u0, v0), (u1, v0), (u1, v1), (u0, v1)]
 
     @property
     def shares(self) -> list[tuple[Any, ...]]:
         """Of these corners in what is drawn at quarters of the square, for the rising diagonal and the other."""
-        x, y = (t + self.side * k for t, k in zip(self.first, _IN_QUARTERS, strict=True))
+        x, y = (t + self.side * k for t, k in zip(self.first, IN_QUARTERS, strict=True))
         zero, one = jnp.zeros_like(x), jnp.ones_like(x)
         rising = 1.0 - larger(x, y), larger(x - y, zero), smaller(x, y), larger(y - x, zero)
         beyond = larger(x + y - one, zero)
@@ -175,7 +180,7 @@ def places_of(
         place = (a + t * (b - a) for a, b, t in zip(low, high, (u, v), strict=True))
         return twist_basis(slots, *place)
 
-    own = terms(*(_IN_QUARTERS if inside is None else (jnp.stack(x) for x in inside)))
+    own = terms(*(IN_QUARTERS if inside is None else (jnp.stack(x) for x in inside)))
     return Places(along, own, terms(0.5, 0.5), on_box(slots, low, high, inside is None), shares)
 
 

@@ -162,8 +162,10 @@ def twist_basis(slots: int, u: Values, v: Values) -> list[Values]:
     return [*found, 12 * a * a * b * c * _turn(c, b), 12 * b * b * a * c * _turn(a, c)]
 
 
-def twist_slopes(slots: int, u: Any, v: Any) -> tuple[list[Any], list[Any]]:
+def twist_slopes(slots: int, u: Any, v: Any, pinched: bool = False) -> tuple[list[Any], list[Any]]:
     """Derivatives of ``twist_basis`` by u, and by v; at the corner itself 0, as they are wherever one goes there.
+
+    pinched : those by v of triangles over 1 - u, which is a factor of theirs
 
     >>> by_u, by_v = twist_slopes(4, np.array(0.0), np.array(0.5))
     >>> [abs(round(float(x), 4)) for x in by_u], [abs(round(float(x), 4)) for x in by_v]
@@ -180,10 +182,11 @@ def twist_slopes(slots: int, u: Any, v: Any) -> tuple[list[Any], list[Any]]:
     for k in range(slots - QUAD_TWISTS):
         # t = (1 - u) w with w = v, or 1 - v and the opposite sign
         w, sign = (v, 1.0) if k == 0 else (1 - v, -1.0)
-        p, p_u, p_w = 12 * ((1 - u) * (1 - w)) ** 2, -24 * (1 - u) * (1 - w) ** 2, -24 * (1 - w) * (1 - u) ** 2
+        p, p_u, p_w = 12 * ((1 - u) * (1 - w)) ** 2, -24 * (1 - u) * (1 - w) ** 2, -24 * (1 - w) * (1 - u)
         value, by_s, by_t = _turning(u, (1 - u) * w)
         by_u.append(sign * (p_u * value + p * (by_s - w * by_t)))
-        by_v.append(p_w * value + p * (1 - u) * by_t)
+        own = p_w * value + p * by_t
+        by_v.append(own if pinched else (1 - u) * own)
     return by_u, by_v
 
 
@@ -194,7 +197,7 @@ def _slopes(p: Any, s: Any, t: Any, p_s: Any, p_t: Any) -> tuple[Any, Any]:
 
 def _turning(s: Any, t: Any) -> tuple[Any, Any, Any]:
     """s t (s - t)/(2 (s + t)), and its derivatives by s and t."""
-    both = np.where(s + t > 0, s + t, 1.0)
+    both = _positive(s + t)
     y = t / both
     return s * t * (s - t) / (2.0 * both), 0.5 * t - t * y * y, 0.5 * s - s * y * (2.0 - y)
 
@@ -205,6 +208,10 @@ def _of_quad(s: Values, t: Values) -> Values:
 
 def _turn(s: Values, t: Values) -> Values:
     """(s - t)/(2 (s + t)); where both are 0, whatever it is multiplied with is 0 too."""
-    xp: Any = np if isinstance(s, (np.ndarray, np.floating, float)) else jnp
-    both = s + t
-    return (s - t) / (2.0 * xp.where(both > 0, both, 1.0))
+    return (s - t) / (2.0 * _positive(s + t))
+
+
+def _positive(values: Values) -> Values:
+    """1 where they are not."""
+    xp: Any = np if isinstance(values, (np.ndarray, np.floating, float)) else jnp
+    return xp.where(values > 0, values, 1.0)

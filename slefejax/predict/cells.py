@@ -24,6 +24,7 @@ from slefejax.geometry.view import homogeneous
 from slefejax.lanes import loops, nets, passes
 from slefejax.lanes.tuning import TUNING
 from slefejax.predict.normals.parts import part_turn
+from slefejax.predict.normals.undivided import Undivided
 from slefejax.tessellator.direct3d11 import ragged
 
 _HIGHEST = 128  # factors above are left as they are: proofs take time as the square
@@ -77,16 +78,15 @@ class Pictured(NamedTuple):
 
 
 class Turned(NamedTuple):
-    """Undivided normals of patches (``geometry.normals``), float64, patches last, and the angle that is allowed."""
+    """Undivided normals of patches, float64, patches last, and the angle that is allowed."""
 
-    net: np.ndarray  # (ku+1, kv+1, 3, patches)
-    sizes: np.ndarray  # (patches,): of a coordinate
+    normals: Undivided
     angle: float  # radians
 
     def page(self, count: int) -> tuple[Any, ...]:
         """As of ``Pictured``."""
-        net, sizes = _filled((self.net, self.sizes), count)
-        return np.moveaxis(net, -1, 0), sizes, np.float64(self.angle)
+        net, size, spin = jax.tree.map(lambda own: np.moveaxis(_filled((own,), count)[0], -1, 0), self.normals)
+        return net, size, np.float64(self.angle), *([] if spin is None else spin)
 
     @staticmethod
     def programs() -> dict[str, passes.Pass]:

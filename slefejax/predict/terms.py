@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from slefejax.lanes import loops
-from slefejax.lanes.maxima import Maxima, larger
+from slefejax.lanes.maxima import Maxima, larger, root
 from slefejax.lanes.nets import Lanes
 
 # d/du, d/dv, multiplicity
@@ -17,18 +17,26 @@ _TURNS = 2  # towards the n that a tile needs
 
 
 class Terms(NamedTuple):
-    """n^2 is to be at least second/8 + third/n + fourth/n^2 + rest, and second at least ``least``/n."""
+    """n^2 is to be at least second/8 + first n + third/n + fourth/n^2 + rest, and second at least ``least``/n."""
 
     second: Lanes
     third: Lanes
     fourth: Lanes
     least: Lanes | None
     rest: Lanes
+    first: Lanes | None = None
 
     def square(self, over_n: Lanes, maxima: Maxima) -> Lanes:
         """The right side for some 1/n: too large for 1/n that is too large."""
         second = self.second if self.least is None else maxima.largest([self.second, self.least * over_n])
-        return second / 8.0 + (self.third + self.fourth * over_n) * over_n + self.rest
+        return self.with_first(second / 8.0 + (self.third + self.fourth * over_n) * over_n + self.rest)
+
+    def with_first(self, others: Lanes) -> Lanes:
+        """The n^2 that is first n + others."""
+        if self.first is None:
+            return others
+        half = 0.5 * self.first
+        return (half + root(half * half + others)) ** 2
 
 
 def solved(terms: Terms, maxima: Maxima) -> Lanes:
@@ -38,7 +46,7 @@ def solved(terms: Terms, maxima: Maxima) -> Lanes:
     """
     # each root ends a loop of the compiler's, and the next one would begin with all that terms are made of
     terms = loops.once(terms)
-    square = terms.second / 8.0  # less than what is enough
+    square = terms.with_first(terms.second / 8.0)  # less than what is enough
     for _ in range(2 * _TURNS + 1):
         square = terms.square(1.0 / jnp.sqrt(larger(square, jnp.ones_like(square))), maxima)
     return square

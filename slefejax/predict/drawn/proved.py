@@ -133,7 +133,7 @@ def _lengths_keep(
         holds[block] = _positions_keep(certificate, *own)
         if certificate.normals is not None:
             strips_of = lambda nets, which, own=own: _along_sides(nets, own[1][which], own[3][which])  # noqa: E731
-            given = own[0], OWN_AXIS[own[1]], own[2], certificate.scale, strips_of
+            given = own[0], OWN_AXIS[own[1]], *own[2:], certificate.scale, strips_of
             holds[block] &= certificate.normals.triangles_keep(*given)
     return holds
 

@@ -24,6 +24,7 @@ class NormalClaim:
     turned: Callable[[np.ndarray], Turned]
     angle: float
     tiles: int
+    spun: bool  # they are Gregory patches'
     claimed: Bool[np.ndarray, "patches"]
 
     def boxes(self, patch: np.ndarray, extents: np.ndarray, evenness: Any) -> Float[np.ndarray, "n"]:
@@ -36,26 +37,30 @@ class NormalClaim:
         patch: np.ndarray,
         along: np.ndarray,
         length: np.ndarray,
+        width: np.ndarray,
         scale: float,
-        part: Callable[[np.ndarray, np.ndarray], np.ndarray],
+        strip: Callable[[np.ndarray, np.ndarray], np.ndarray],
     ) -> Bool[np.ndarray, "n"]:
-        """Whether triangles of any shape, of a length along an axis of parts of nets, keep the angle.
+        """Whether triangles of any shape, of a length along an axis and a width, keep the angle.
 
-        part : makes these parts of the nets ``(m, ku+1, kv+1, 3)`` of some of the patches, whose places it is told
+        width : of strips of the patches
+        strip : makes these of nets ``(m, ku+1, kv+1, 3)`` of some of the patches, whose places it is told; what twists
+                add has no strips, it is looked at over the whole patch
         """
-        size, extents = shape_of(along, length, 1.0)
-        return scale * size * self._through(_triangles_pass, patch, extents, part) <= 1.0
+        whole = self.spun
+        size, extents = shape_of(along, length, width if whole else 1.0)
+        return scale * size * self._through(_triangles_pass, patch, extents, None if whole else strip) <= 1.0
 
     def _through(self, compiled: Any, patch: np.ndarray, numbers: np.ndarray, part: Any = None) -> np.ndarray:
         found = np.zeros(len(patch))
         own = np.flatnonzero(self.claimed[patch])
         if len(own):
-            made = self.turned(patch[own])
-            nets = np.moveaxis(made.net, -1, 0)
-            nets, numbers = nets if part is None else part(nets, own), np.column_stack([numbers[own], made.sizes])
+            normals = self.turned(patch[own]).normals
+            normals = jax.tree.map(lambda x: np.moveaxis(x, -1, 0), normals)
+            normals = normals if part is None else normals._replace(net=part(normals.net, own))
             run = lambda given: compiled(given, self.angle, self.tiles)  # noqa: E731
             with jax.enable_x64(True):
-                found[own] = layout.through(run, (nets, numbers), np.float64)
+                found[own] = layout.through(run, (normals, numbers[own]), np.float64)
         return found
 
 
@@ -73,8 +78,8 @@ def shape_of(along: np.ndarray, length: np.ndarray, width: Any) -> tuple[np.ndar
 @passes.as_pass(2)
 def _boxes_pass(given: Any, angle: Any, tiles: int) -> Any:
     def kernel(both: Any) -> Any:
-        net, (e_u, e_v, evenness, size) = both
-        return turning(net, size, angle, HalfCells((e_u, e_v), evenness), tiles=tiles).factor
+        normals, (e_u, e_v, evenness) = both
+        return turning(normals, angle, HalfCells((e_u, e_v), evenness), tiles=tiles).factor
 
     return loops.over_chunks(kernel, given)
 
@@ -82,7 +87,7 @@ def _boxes_pass(given: Any, angle: Any, tiles: int) -> Any:
 @passes.as_pass(2)
 def _triangles_pass(given: Any, angle: Any, tiles: int) -> Any:
     def kernel(both: Any) -> Any:
-        net, (e_u, e_v, size) = both
-        return turning(net, size, angle, AnyTriangle((e_u, e_v)), tiles=tiles).factor
+        normals, (e_u, e_v) = both
+        return turning(normals, angle, AnyTriangle((e_u, e_v)), tiles=tiles).factor
 
     return loops.over_chunks(kernel, given)

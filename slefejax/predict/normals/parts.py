@@ -17,6 +17,8 @@ from slefejax.bounds.quadratics import PARTS, Box, Measured, Places, Polynomial,
 from slefejax.lanes import loops, nets
 from slefejax.lanes.maxima import larger, smaller
 from slefejax.lanes.nets import Lanes
+from slefejax.predict.normals.spun import Missed, PartSpin
+from slefejax.predict.normals.undivided import Spin
 
 
 class _Part(NamedTuple):
@@ -29,6 +31,7 @@ class _Part(NamedTuple):
     deep: Lanes  # and positive
     far: Lanes  # how far N over it can be from m
     blur: Lanes  # what rounding may have done
+    rest: Lanes  # what twists add differs at most so much from the quadratics
 
     @staticmethod
     def of(
@@ -37,34 +40,43 @@ class _Part(NamedTuple):
         box: Box,
     ) -> _Part:
         """Of a patch, what lies in a box."""
-        control, sizes, _ = pictured
+        control, sizes, _, *spins = pictured
         low, high, inside, window = box
         index = patch.astype(jnp.int32)
-        own = loops.once(jnp.moveaxis(control[index], 0, -1))
+        own, *spun = (loops.once(jnp.moveaxis(x[index], 0, -1)) for x in (control, *spins))
+        spin = PartSpin(Spin(*spun), box) if spun else None
         whole = nets.coordinates(own, unrolled=False)
         along = [nets.restricting(n, a, b) for n, a, b in zip(own.shape[:2], low, high, strict=True)]
         corners = [[]] * 3 if window is None else [window.corners(net, []) for net in whole]
         restricted = [nets.restricted(net, *along) for net in whole]
-        every = [Polynomial(net, [], ends) for net, ends in zip(restricted, corners, strict=True)]
         places = places_of(low, high, inside, window, 0, own.shape[:2])
+        shares = [[]] * 3
+        if spin is not None:
+            places, shares = spin.at_places(places), spin.shares
+            if window is not None:
+                ends = [spin.at(u, v) for u, v in window.places]
+                corners = [[c + end[k] for c, end in zip(own, ends, strict=True)] for k, own in enumerate(corners)]
+        every = [Polynomial(*row) for row in zip(restricted, shares, corners, strict=True)]
         middle = [row.middle(places) for row in every]
         length = _length(middle)
         axis = [x / jnp.where(length > 0, length, 1.0) for x in middle]
         w = _along(every, axis)
-        least = nets.bottom(w.net)
+        across, depth = (Missed(*[jnp.zeros_like(length)] * 2),) * 2 if spin is None else spin.missed(axis)
+        least = nets.bottom(w.centred(places)) - depth.swing
         if window is not None:
             least = smaller(least, nets.bottom(drawn_corners(w, places, inside is not None)))
         blur = ROUNDING * sizes[index]
         deep = least > 2.0 * blur
         least = jnp.where(deep, least - blur, 1.0)
         rows = [row.less(m, w) for row, m in zip(every, axis, strict=True)]
-        far = nets.top(nets.each(lambda *x: _length(list(x)), *(row.net for row in rows))) / least
-        return _Part(rows, w, places, least, deep, far, blur)
+        far = nets.top(nets.each(lambda *x: _length(list(x)), *(row.centred(places) for row in rows))) + across.swing
+        far = far / least
+        return _Part(rows, w, places, least, deep, far, blur, across.rest + far * depth.rest)
 
     def error(self, measured: Any, angle: Any) -> Lanes:
         """The largest error over an angle, for what measures the interpolation error of one polynomial."""
         rows = [measured(row, self.places) for row in self.rows]
-        whole = _together(rows) + self.far * measured(self.w, self.places).size + self.blur
+        whole = _together(rows) + self.far * measured(self.w, self.places).size + self.rest + self.blur
         return jnp.where(self.deep, whole / (self.least * angle), jnp.inf)
 
 
@@ -82,7 +94,11 @@ def _along(rows: list[Polynomial], axis: list[Lanes]) -> Polynomial:
         nets.total([x * m for x, m in zip(end, axis, strict=True)])
         for end in zip(*(row.corners for row in rows), strict=True)
     ]
-    return Polynomial(net, [], ends)
+    twists = [
+        nets.total([x * m for x, m in zip(own, axis, strict=True)])
+        for own in zip(*(row.twists for row in rows), strict=True)
+    ]
+    return Polynomial(net, twists, ends)
 
 
 def _square(vector: list[Lanes]) -> Lanes:

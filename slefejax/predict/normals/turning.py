@@ -11,13 +11,15 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from slefejax.bounds.triangles import Extent, HalfCells, Triangles
 from slefejax.geometry.bezier import tile_matrices
 from slefejax.lanes import loops, nets
 from slefejax.lanes.maxima import EXACT, Maxima, larger, root
 from slefejax.lanes.nets import Lanes
+from slefejax.predict.normals.spinning import Spinning, TileSpin, length, longest, tile_tables
+from slefejax.predict.normals.undivided import Undivided
 from slefejax.predict.terms import FOURTH, THIRD, Terms, solved
 
 _SECOND = ((2, 0, 1.0), (1, 1, 2.0), (0, 2, 1.0))  # d/du, d/dv, multiplicity
@@ -33,12 +35,14 @@ class Turning(NamedTuple):
 
     square  : n^2 from which on they are
     second  : the part of it that second derivatives make
+    spun    : all of it, of patches with twists, else 0
     corners : what that is at corners of tiles alone, so that more tiles cannot make it less
     known   : whether all of that is so: nowhere else normals may vanish, as far as these tiles tell
     """
 
     square: Lanes
     second: Lanes
+    spun: Lanes
     corners: Lanes
     known: Lanes
 
@@ -49,8 +53,7 @@ class Turning(NamedTuple):
 
 
 def turning(
-    net: Float[Array, "ku kv 3 lanes"],
-    size: Lanes,
+    normals: Undivided,
     angle: Any,
     triangles: Triangles | None = None,
     *,
@@ -59,25 +62,35 @@ def turning(
 ) -> Turning:
     """Of undivided normals, for an angle in radians.
 
-    size      : of a coordinate of the net, to which its rounding errors are proportional
     triangles : for which that holds; None: all cells of grids
     """
+    net, size, spin = normals
     shapes = HalfCells() if triangles is None else triangles
     whole = [nets.total([_largest(net, own, shapes.extent, maxima) for own in kind]) for kind in (_SECOND, FOURTH)]
 
-    def step(found: Turning, matrices: Any) -> Turning:
-        tile = _Tile.of(_linear(net, lambda flat: nets.combined(flat, *matrices)), size, maxima)
-        own = tile.turning(whole, angle, shapes, tiles, maxima)
-        square, second, corners = (maxima.largest([a, b]) for a, b in zip(found[:3], own[:3], strict=True))
-        return Turning(square, second, corners, found.known & own.known)
+    spinning = None if spin is None else Spinning.of(spin, shapes.extent, maxima)
 
-    given = jax.tree.map(lambda x: jnp.asarray(x, net.dtype), tile_matrices(net.shape[0], net.shape[1], tiles))
-    start = Turning(jnp.ones_like(size), jnp.zeros_like(size), jnp.zeros_like(size), size > 0)
+    def step(found: Turning, given: Any) -> Turning:
+        matrices, tables = given
+        turns = None if spinning is None else spinning.on_tile(tables[0], tables[1], tiles, maxima)
+        tile = _Tile.of(_linear(net, lambda flat: nets.combined(flat, *matrices)), size, turns, maxima)
+        own = tile.turning(whole, angle, shapes, tiles, maxima)
+        square, second, spun, corners = (maxima.largest([a, b]) for a, b in zip(found[:4], own[:4], strict=True))
+        return Turning(square, second, spun, corners, found.known & own.known)
+
+    tables = None if spin is None else tile_tables(spin, shapes, tiles)
+    every = tile_matrices(net.shape[0], net.shape[1], tiles), tables
+    given = jax.tree.map(lambda x: jnp.asarray(x, net.dtype), every)
+    nothing = jnp.zeros_like(size)
+    start = Turning(jnp.ones_like(size), nothing, nothing, nothing, size > 0)
     return loops.repeated(step, start, given)
 
 
 class _Tile(NamedTuple):
-    """A part of a net, and N . m for a direction m in its middle, by which it is divided."""
+    """A part of a net, and N . m for a direction m in its middle, by which it is divided.
+
+    What twists add to the net is nowhere longer than ``spun.size``.
+    """
 
     net: Vectors
     axis: Array  # (3, lanes): m
@@ -89,39 +102,49 @@ class _Tile(NamedTuple):
     error: Lanes  # of a coefficient of the whole net
     about: Vectors  # a bilinear t that has the values of N over it at the corners, at the places of coefficients
     slopes: tuple[Lanes, Lanes]  # how much t changes along u and along v
+    spun: TileSpin | None  # of Gregory patches
 
     @staticmethod
-    def of(net: Vectors, size: Lanes, maxima: Maxima) -> _Tile:
+    def of(net: Vectors, size: Lanes, spun: TileSpin | None, maxima: Maxima) -> _Tile:
         """From coefficients, and the size that their rounding errors are proportional to."""
         mean = jnp.sum(net, axis=(0, 1))
-        axis = mean / _positive(_length(mean))
+        axis = mean / _positive(length(mean))
         error = _ROUNDING * float(jnp.finfo(net.dtype).eps) * size
         w = _along(net, axis)
-        least = nets.bottom(w) - 2.0 * error
+        apart = error if spun is None else error + spun.size
+        least = nets.bottom(w) - error - apart
         deep = least > 0
-        w, over = loops.once((jnp.where(deep, w, 1.0), 1.0 / jnp.where(deep, w - 2.0 * error, 1.0)))
+        w, over = loops.once((jnp.where(deep, w, 1.0), 1.0 / jnp.where(deep, w - error - apart, 1.0)))
         widest = 1.0 / jnp.where(deep, least, 1.0)
-        reach = _longest(net * over[:, :, None] - axis, maxima) + error * widest
+        reach = longest((net - w[:, :, None] * axis) * over[:, :, None], maxima) + apart * widest
         (a, b), (c, d) = ends = [[net[i, j] / w[i, j] for j in (0, -1)] for i in (0, -1)]
         about = loops.once(_bilinear(ends, *nets.degrees(net)))
-        slopes = [larger(_length(p), _length(q)) for p, q in ((c - a, d - b), (b - a, d - c))]
-        return _Tile(net, axis, w, over, deep, widest, reach, error, about, (slopes[0], slopes[1]))
+        slopes = [larger(length(p), length(q)) for p, q in ((c - a, d - b), (b - a, d - c))]
+        return _Tile(net, axis, w, over, deep, widest, reach, error, about, (slopes[0], slopes[1]), spun)
 
     def turning(self, whole: list[Lanes], angle: Any, triangles: Triangles, tiles: int, maxima: Maxima) -> Turning:
         """Of the points in the tile. whole: sums of sizes of second and of fourth derivatives of all of the patch."""
         degree, scale = float(sum(nets.degrees(self.net))), self.widest / angle
         blur = [(1.0 + tiles**order / 8.0) * (2.0 * degree) ** order * self.error * scale for order in (2, 3)]
-        second, corners = self._bend(triangles, maxima)
+        second, corners, apart = self._bend(triangles, maxima)
         second = second * tiles**2 / angle + blur[0]
         uuu, uuv, uvv, vvv = (self._third(kind, triangles.extent, maxima) * tiles**3 * scale for kind in THIRD)
         third, least = triangles.third(uuu + uuv + blur[1], vvv + uvv + blur[1], maxima)
         fourth = (whole[1] * root(1.0 + self.reach**2) + 16.0 * degree**4 * self.error) / 288.0 * scale
-        square = solved(Terms(second, third, fourth, least, whole[0] / 8.0 * self.widest), maxima)
+        rest, first = whole[0] / 8.0 * self.widest, None
+        if self.spun is not None:
+            first, more = self._spun(self.spun, apart, angle, maxima)
+            all_of_it = self.widest * (root(1.0 + self.reach**2) / angle + 1.0) * self.spun.largest**2
+            rest = rest + more + all_of_it * self.spun.bent
+            third = third + all_of_it * self.spun.largest * self.spun.more
+        square = solved(Terms(second, third, fourth, least, rest, first), maxima)
         square = square * (1.0 + 128.0 * float(jnp.finfo(self.net.dtype).eps))
-        return Turning(square, second / 8.0, corners * tiles**2 / (8.0 * angle), self.deep)
+        spun = jnp.zeros_like(square) if self.spun is None else jnp.where(self.spun.size > 0, square, 0.0)
+        return Turning(square, second / 8.0, spun, corners * tiles**2 / (8.0 * angle), self.deep)
 
-    def _bend(self, triangles: Triangles, maxima: Maxima) -> tuple[Lanes, Lanes]:
-        """How far triangles bend N - s N.m at most, over N.m, where s is N over N.m at the place; and at corners alone.
+    def _bend(self, triangles: Triangles, maxima: Maxima) -> tuple[Lanes, Lanes, Lanes]:
+        """How far triangles bend N - s N.m at most, over N.m, where s is N over N.m at the place; at corners alone; and
+        how far s is from t.
 
         t stands for s, and what of a product with t is no sum of Bernstein terms is added.
         """
@@ -131,11 +154,44 @@ class _Tile(NamedTuple):
         squares = maxima.largest([_square(_sum(left, own)) for own in triangles.directions]) * self.over**2
         flat = [_sum(depth, own) for own in triangles.directions]
         bend = root(nets.top(squares, maxima)) + self._slip(flat, maxima) * self.widest
-        apart = _longest(self._less(self.net, self.w) * self.over[:, :, None], maxima)
+        apart = longest(self._less(self.net, self.w) * self.over[:, :, None], maxima)
         apart = apart + (self._slip([self.w], maxima) + self.error) * self.widest
+        if self.spun is not None:
+            apart = apart + self._steepest * self.spun.size * self.widest
         rest = nets.top(maxima.largest([jnp.abs(own) for own in flat]) * self.over, maxima)
         corners = [squares[i, j] for i in (0, -1) for j in (0, -1)]
-        return bend + apart * rest, root(reduce(larger, corners))
+        return bend + apart * rest, root(reduce(larger, corners)), apart
+
+    def _spun(self, spun: TileSpin, apart: Lanes, angle: Any, maxima: Maxima) -> tuple[Lanes, Lanes]:
+        """What twists make of the angle, times n and times n^2: of what turns N, and of N.m."""
+
+        def turned(several: Array) -> Array:
+            """Of nets beside each other."""
+            along = jnp.sum(several * self.axis, axis=-2)
+            t = _bilinear(self._ends, several.shape[-4] - 1, several.shape[-3] - 1)
+            size = maxima.largest_along(jnp.abs(along), (-3, -2))
+            left = longest(several - t * along[..., None, :], maxima)
+            return left + self._slip([along], maxima) + apart * size
+
+        def turned_everywhere(vectors: Array) -> Array:
+            along = jnp.sum(vectors * self.axis, axis=-2)
+            left = [length(vectors - end * along[..., None, :]) for row in self._ends for end in row]
+            return reduce(larger, left) + apart * jnp.abs(along)
+
+        kinds = (turned, turned_everywhere), (lambda several: longest(several, maxima), length)
+        found = zip(*(spun.errors(*own) for own in kinds), strict=True)
+        first, second = (self.widest * (x / angle + y) for x, y in found)
+        return first, second
+
+    @property
+    def _ends(self) -> list[list[Array]]:
+        """t at the corners."""
+        return [[self.about[i, j] for j in (0, -1)] for i in (0, -1)]
+
+    @property
+    def _steepest(self) -> Lanes:
+        """The largest length of t: by so much vectors less t times their part along m are longer than they are."""
+        return reduce(larger, [length(own) for row in self._ends for own in row])
 
     def _raised(self, part: Vectors) -> Vectors:
         """Of the degrees of the tile."""
@@ -149,10 +205,10 @@ class _Tile(NamedTuple):
     def _slip(self, parts: list[Numbers], maxima: Maxima) -> Lanes:
         """How far such sums are at most from products with t: (u - i/d) b_i add up to u (1-u)/d times a derivative."""
         found = []
-        for i, slope in enumerate(self.slopes):
-            steps = [nets.differences(part, 1 - i, i) for part in parts]
-            if nets.size(steps[0]):
-                found.append(slope * nets.top(maxima.largest([jnp.abs(own) for own in steps]), maxima))
+        for axis, slope in zip((-3, -2), self.slopes, strict=True):
+            if parts[0].shape[axis] > 1:
+                steps = [jnp.abs(jnp.diff(part, axis=axis)) for part in parts]
+                found.append(slope * maxima.largest_along(maxima.largest(steps), (-3, -2)))
         return 0.25 * nets.total(found) if found else jnp.zeros_like(self.reach)
 
     def _third(self, kind: tuple[int, int, float], extent: Extent, maxima: Maxima) -> Lanes:
@@ -162,7 +218,7 @@ class _Tile(NamedTuple):
             return jnp.zeros_like(self.reach)
         part = loops.once(part)
         along = _along(part, self.axis)
-        across = _longest(part - along[:, :, None] * self.axis, maxima)
+        across = longest(part - along[:, :, None] * self.axis, maxima)
         return kind[2] * (across + self.reach * nets.top(jnp.abs(along), maxima))
 
 
@@ -182,7 +238,7 @@ def _derivative(net: Vectors, i: int, j: int, extent: Extent) -> Vectors:
 def _largest(net: Vectors, kind: tuple[int, int, float], extent: Extent, maxima: Maxima) -> Lanes:
     """The largest size of a derivative, times its multiplicity."""
     part = _derivative(net, kind[0], kind[1], extent)
-    return kind[2] * _longest(part, maxima) if nets.size(part) else jnp.zeros_like(net[0, 0, 0])
+    return kind[2] * longest(part, maxima) if nets.size(part) else jnp.zeros_like(net[0, 0, 0])
 
 
 def _linear(net: Vectors, function: Callable[[Array], Any]) -> Vectors:
@@ -203,14 +259,6 @@ def _along(vectors: Vectors, axis: Array) -> Numbers:
 def _square(vectors: Array) -> Array:
     """Of lengths; coordinates are the last axis but one."""
     return jnp.sum(vectors * vectors, axis=-2)
-
-
-def _length(vectors: Array) -> Array:
-    return root(_square(vectors))
-
-
-def _longest(vectors: Vectors, maxima: Maxima) -> Lanes:
-    return root(nets.top(_square(vectors), maxima))
 
 
 def _positive(values: Array) -> Array:

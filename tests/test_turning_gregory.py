@@ -1,0 +1,210 @@
+"""Certified normals of Gregory patches: sampling finds nothing that errs more than their bounds tell."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import slefejax as sj
+from slefejax import Camera, GregoryPatches, View, tessellation_factors
+from slefejax.bounds.slopes import on_box, on_tiles, slope_sizes, steepest
+from slefejax.geometry.bezier import elevate, evaluate_patch
+from slefejax.geometry.evaluate import as_control
+from slefejax.geometry.gregory import QUAD_TWISTS, twist_slopes
+from slefejax.geometry.normals import collapsed_sides
+from slefejax.predict.cells import Pictures, Turned, cell_errors, triangle_errors
+from slefejax.predict.normals.undivided import Surfaces
+
+ABOVE = View(Camera.orthographic((0.0, 0.0, 50.0), (0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0), height=40.0), 300, 300)
+SLOTS = 6
+KINDS = ("quads", pytest.param("triangles", marks=pytest.mark.slow))
+
+
+def patches_of(rng, kind, count, twist=0.1):
+    """Wavy quads, or triangles that are pinched at u = 1, as bi-quartic nets; with twists of any direction."""
+    x, y = np.meshgrid(np.linspace(-1, 1, 4), np.linspace(-1, 1, 4), indexing="ij")
+    net = np.stack([x, y, 0 * x], axis=-1) + 0.15 * rng.normal(size=(count, 4, 4, 3))
+    if kind == "quads":
+        return GregoryPatches(net, twist * rng.normal(size=(count, 4, 3)))
+    net[:, -1] = net[:, -1:, 0]
+    raised = np.stack([elevate(elevate(own, 4).swapaxes(0, 1), 4).swapaxes(0, 1) for own in net])
+    raised[:, -1] = raised[:, -1:, 0]
+    twists = np.zeros((count, SLOTS, 3))
+    twists[:, QUAD_TWISTS:] = twist * rng.normal(size=(count, 2, 3))
+    return GregoryPatches(raised, twists)
+
+
+def slopes(u, v):
+    return np.moveaxis(np.array(twist_slopes(SLOTS, u, v, pinched=True)), 0, 1)  # (slots, 2, ...)
+
+
+def normals(patches, k, u, v):
+    """Of one patch, by derivatives of its net and of twist terms; over 1 - u where it is pinched there."""
+    net, twists = np.asarray(patches.net[k]), np.asarray(patches.twists[k])
+    u, degree = (np.minimum(u, 1 - 1e-7), 4) if len(net) == 5 else (u, 3)
+
+    def evaluated(own):
+        return np.moveaxis(evaluate_patch(own.reshape(*own.shape, *[1] * u.ndim), u, v), 0, -1)
+
+    by_u, by_v = twist_slopes(len(twists), u, v)
+    along_u = evaluated(degree * np.diff(net, axis=0)) + np.tensordot(np.array(by_u), twists, (0, 0))
+    along_v = evaluated(degree * np.diff(net, axis=1)) + np.tensordot(np.array(by_v), twists, (0, 0))
+    found = np.cross(along_u, along_v)
+    return found / (1 - u)[..., None] if len(net) == 5 else found
+
+
+def degrees_between(a, b):
+    return np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1)))
+
+
+def on_cell(patches, k, low, high, places=13):
+    t = np.linspace(0, 1, places)
+    a, b = np.meshgrid(t, t, indexing="ij")
+    exact = normals(patches, k, low[0] + a * (high[0] - low[0]), low[1] + b * (high[1] - low[1]))
+    p, q, r, s = exact[0, 0], exact[-1, 0], exact[0, -1], exact[-1, -1]
+    a, b = a[..., None], b[..., None]
+    rising = np.where(a >= b, p + a * (q - p) + b * (s - q), p + b * (r - p) + a * (s - r))
+    falling = np.where(a + b <= 1, p + a * (q - p) + b * (r - p), s + (1 - a) * (r - s) + (1 - b) * (q - s))
+    return max(degrees_between(rising, exact).max(), degrees_between(falling, exact).max())
+
+
+def pictured(patches):
+    still = np.asarray(collapsed_sides(patches))
+
+    def made(which):
+        own = jax.tree.map(lambda x: np.moveaxis(np.asarray(x, float)[which], 0, -1), as_control(patches))
+        return Turned(Surfaces(own, still[which].T).undivided(), np.deg2rad(1.0))
+
+    return Pictures(made, len(patches))
+
+
+def test_slopes_on_boxes_are_no_larger_than_is_told(rng):
+    """Derivatives by differences, which are good to a few per mille here."""
+    step = 1e-3
+    for _ in range(40):
+        low = rng.uniform(0.02, 0.7, 2)
+        extent = rng.uniform(0.01, 0.25, 2)
+        u, v = zip(low, low + extent, strict=True)
+        told = np.array(slope_sizes(SLOTS, u, v, extent[0], extent[1]))  # (slots, 2, orders)
+        place = low + rng.uniform(2 * step, 1 - 2 * step, (50, 2)) * extent
+        along = rng.choice([-1, 1], (50, 2)) * extent
+        near = [slopes(*(place + k * step * along).T) for k in (-2, -1, 0, 1, 2)]
+        first, second = (near[3] - near[1]) / (2 * step), (near[3] - 2 * near[2] + near[1]) / step**2
+        third = (near[4] - 2 * near[3] + 2 * near[1] - near[0]) / (2 * step**3)
+        true = np.stack([np.abs(own).max(axis=-1) for own in (near[2], first, second, third)], axis=-1)
+        assert np.all(true <= 1.005 * told)
+
+
+def errors_near_corners(n, tiles):
+    """Of the linear interpolation on n x n grids: (slots, 2, cells, places), and of every cell where it is."""
+    numbers = np.unique([0, 1, 2, 3, n // 3, n // 2, n - 2, n - 1])
+    t = np.linspace(0, 1, 13)
+    x, y = (own.ravel() for own in np.meshgrid(t, t, indexing="ij"))
+    rising = 1 - np.maximum(x, y), np.maximum(x - y, 0), np.minimum(x, y), np.maximum(y - x, 0)
+    falling = np.maximum(1 - x - y, 0), np.minimum(x, 1 - y), np.maximum(x + y - 1, 0), np.minimum(y, 1 - x)
+    for i, j in [(i, j) for i in numbers for j in numbers if 0 <= i < n and 0 <= j < n]:
+        u, v = np.minimum((i + x) / n, 1 - 1e-9), (j + y) / n
+        ends = [slopes(np.minimum((i + a) / n, 1 - 1e-9), (j + b) / n) for a, b in ((0, 0), (1, 0), (1, 1), (0, 1))]
+        tile = np.minimum(tiles * np.array([u, v]), tiles - 1).astype(int)
+        for shares in (rising, falling):
+            drawn = sum(k * end[..., None] for k, end in zip(shares, ends, strict=True))
+            yield np.abs(slopes(u, v) - drawn), tile[0] * tiles + tile[1], np.abs(slopes(u, v))
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, 9, 33, 400])
+def test_slopes_on_even_grids_err_no_more_than_tables_tell(n):
+    """On cells at the corners, near to them, and elsewhere, for both diagonals; with fine ones almost as much."""
+    table, most = on_tiles(SLOTS, 4, True), 0.0
+    for error, tile, size in errors_near_corners(n, 4):
+        allowed = np.moveaxis((table.first / n + table.second / n**2)[tile], 0, -1)
+        assert np.all(error <= allowed + 1e-9)
+        assert np.all(size <= np.moveaxis(table.size[tile], 0, -1) + 1e-9)
+        most = np.maximum(most, error.max(axis=-1))
+    if n > 100:
+        assert np.all(n * most > 0.9 * table.first.max(axis=0))
+    assert np.all(steepest(SLOTS) >= 22.4)
+
+
+def test_quadratics_miss_slopes_by_no_more_than_is_told(rng):
+    """On parts of cells and any triangles in boxes, a third of them at a corner."""
+    shares = rng.dirichlet(np.ones(3), 300)
+    basis = np.hstack([shares * (2 * shares - 1), 4 * shares * np.roll(shares, -1, axis=1)])
+    halves = np.array([[[0, 0], [1, 0], [1, 1]], [[0, 0], [1, 1], [0, 1]], [[0, 0], [1, 0], [0, 1]]], float)
+    a, b, c = np.moveaxis(halves, 1, 0)
+    quarters = np.concatenate(
+        [np.stack([a, (a + b) / 2, (a + c) / 2], 1), np.stack([(a + b) / 2, (b + c) / 2, (a + c) / 2], 1)]
+    )
+    for turn in range(60):
+        extent = 2.0 ** -rng.uniform(0, 8, 2)
+        low = np.where(turn % 3, rng.uniform(0, 1 - extent), rng.integers(0, 2, 2) * (1 - extent))
+        cell = bool(turn % 2)
+        triangles = quarters if cell else rng.integers(0, 9, (40, 3, 2)) / 8
+        ends = ([jnp.asarray(x) for x in own] for own in (low, low + extent))
+        told = on_box(SLOTS, next(ends), next(ends), cell)
+        most = np.array([[float(slope.rest) for slope in pair] for pair in told])
+        for triangle in triangles:
+            corners = low + triangle * extent
+            nodes = np.concatenate([corners, (corners + np.roll(corners, -1, axis=0)) / 2])
+            true, known = (slopes(np.minimum(p[:, 0], 1 - 1e-9), p[:, 1]) for p in (shares @ corners, nodes))
+            assert np.all(np.abs(true - known @ basis.T).max(axis=-1) <= most + 1e-8)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_cells_and_triangles_turn_no_more_than_is_told(rng, kind):
+    """A third of them at corners."""
+    patches = patches_of(rng, kind, 24)
+    pictures, number = pictured(patches), np.arange(24)
+    extent = rng.uniform(0.03, 0.12, (24, 2))
+    low = rng.uniform(0, 1 - extent)
+    low[::3] = rng.integers(0, 2, (8, 2)) * (1 - extent[::3])
+    told = cell_errors(pictures, number, low, low + extent)
+    true = np.array([on_cell(patches, k, *box) for k, *box in zip(number, low, low + extent, strict=True)])
+    assert np.all(true <= told)
+    assert np.median(told / true) < 5.0
+    corners = low[:, None] + rng.integers(0, 3, (24, 3, 2)) / 2 * extent[:, None]
+    halves = triangle_errors(pictures, number, corners)
+    shares = rng.dirichlet(np.ones(3), 200)
+    for k, triangle, most in zip(number, corners, halves, strict=True):
+        drawn = shares @ normals(patches, k, *triangle.T)
+        assert degrees_between(drawn, normals(patches, k, *(shares @ triangle).T)).max() <= most + 1e-6
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_grids_keep_the_angle(rng, kind):
+    patches = patches_of(rng, kind, 12, twist=0.03)
+    if kind == "quads":
+        # with twists, another side than u = 1 that is a point is left alone
+        patches.net[11, 0] = patches.net[11, 0, 0]
+    found = tessellation_factors(patches, ABOVE, tolerance=1e6, normal_tolerance=4.0)
+    claimed = np.flatnonzero(~np.asarray(found.without_normal))
+    assert len(claimed) >= 6
+    assert kind == "triangles" or 11 not in claimed
+    for k in claimed[:6]:
+        n = int(np.ceil(found.factor[k]))
+        cells = [(np.array([i, j]) / n, np.array([i + 1, j + 1]) / n) for i in range(n) for j in range(n)]
+        assert max(on_cell(patches, k, *cell, places=7) for cell in cells) <= 4.0
+
+
+@pytest.mark.slow
+def test_without_twists_they_are_bezier_patches(rng):
+    net = patches_of(rng, "quads", 4).net
+    plain = tessellation_factors(net, ABOVE, tolerance=1e6, normal_tolerance=4.0).factor
+    found = tessellation_factors(GregoryPatches(net, np.zeros((4, 4, 3))), ABOVE, tolerance=1e6, normal_tolerance=4.0)
+    np.testing.assert_allclose(found.factor, plain, rtol=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("options", [{}, {"levels": "fewest", "anisotropic": True}, {"verify": True}])
+def test_triangles_of_models_keep_an_angle_as_drawn(models, dtype, options):
+    patches = sj.load(models / "catmark_gregory_test8.obj", scheme="gregory").patches().astype(dtype)
+    view = View(sj.load(models / "catmark_gregory_test8.obj").default_camera(), 600, 400)
+    found = tessellation_factors(patches, view, normal_tolerance=3.0, **options)
+    claimed = ~np.asarray(found.without_normal)
+    assert claimed.sum() >= 20
+    drawn = sj.triangulate(patches, found)
+    assert sj.triangle_normal_error(patches, drawn, view)[claimed].max() <= 3.0
+    uniform = np.ceil(found.factor).astype(int)
+    assert sj.sampled_normal_error(patches, uniform, view)[claimed].max() <= 3.0
