@@ -404,6 +404,15 @@ def test_normals_come_close_and_hold(family, setting):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("family", ["spun", "spun-pinched"])
+@pytest.mark.parametrize("setting", ["normals-tiles-1", "normals-float32", "normals-drawn"])
+def test_normals_of_gregory_patches_hold(family, setting):
+    found = attack(family, setting, 1)
+    assert found["violations"] == 0
+    assert found["pairs"] >= 50
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("setting", ["normals-drawn", "normals-drawn-fewest", "normals-verify"])
 def test_normals_hold_where_they_are_seen(setting):
     """Beside the near plane levels leave out what nobody sees."""

@@ -127,6 +127,7 @@ def test_a_film_measures_normals_of_tangent_patches(device, capsys):
     assert FOR_CERTIFIED in result["notes"]
 
 
+@pytest.mark.slow
 def test_a_session_tells_its_tangent_patches():
     scene = load("walker")
     assert Session(scene).tangents is None

@@ -20,7 +20,7 @@ from slefejax.predict.normals.turning import turning
 from slefejax.predict.normals.undivided import Undivided
 
 ABOVE = View(Camera.orthographic((0.0, 0.0, 50.0), (0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0), height=40.0), 300, 300)
-SHAPES = [(4, 4, 3), (3, 3, 4), *(pytest.param(own, marks=pytest.mark.slow) for own in ((2, 2, 3), (3, 4, 3)))]
+SHAPES = [(4, 4, 3), *(pytest.param(own, marks=pytest.mark.slow) for own in ((3, 3, 4), (2, 2, 3), (3, 4, 3)))]
 
 
 def sheets(rng, count, shape, steep=0.2):
@@ -144,6 +144,7 @@ def test_verify_finds_smaller_factors_that_hold(rng):
         assert on_grid(net, n) <= 1.0
 
 
+@pytest.mark.slow
 def test_more_tiles_are_never_looser(rng):
     nets = jnp.asarray(np.moveaxis(undivided(sheets(rng, 16, (4, 4, 3))), 0, -1))
     squares = [turning(Undivided(nets, jnp.ones(16)), 0.02, tiles=tiles).factor for tiles in (1, 4)]
@@ -157,7 +158,8 @@ def total_factor(patches, along, smooth, step, degrees):
     return jnp.sum(tessellation_factors(patches + step * along, ABOVE, normal_tolerance=degrees, **asked).factor)
 
 
-@pytest.mark.parametrize("smooth", [None, pytest.param(0.05, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("smooth", [None, 0.05])
 def test_derivatives_are_those_of_finite_differences(rng, smooth):
     patches, step = sheets(rng, 2, (3, 3, 3)), 1e-6
     total = partial(total_factor, patches, rng.normal(size=patches.shape), smooth)
@@ -247,6 +249,7 @@ def test_patches_of_high_degree_have_no_certificate(rng):
         tessellation_factors(sheets(rng, 1, (10, 10, 4)), ABOVE, normal_tolerance=1.0)
 
 
+@pytest.mark.slow
 def test_what_is_known_of_normals_can_be_pickled(rng):
     found = tessellation_factors(sheets(rng, 2, (4, 4, 3)), ABOVE, normal_tolerance=2.0)
     edges = found.edges

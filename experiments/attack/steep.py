@@ -5,9 +5,13 @@ Half of them are turned any way.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from slefejax import GregoryPatches
 from slefejax.experiments.attack.nets import SHAPES, Net, Rng, Shape, plane
+from slefejax.geometry.gregory import QUAD_TWISTS, TRIANGLE_TWISTS
 
 _SIDES = (0, slice(None)), (slice(None), 0), (-1, slice(None)), (slice(None), -1)
 
@@ -49,14 +53,17 @@ def _relief(rng: Rng) -> float:
 
 STEEP: dict[str, Shape] = {"bent": _bent, "pole": _pole, "near-cusp": _near_cusp, "thin": _thin}
 STEEP_RATIONAL = "steep-rational"
-STEEP_FAMILIES = (*STEEP, STEEP_RATIONAL)
+SPUN = {"spun": 3, "spun-pinched": 4}  # degrees of Gregory patches' nets: of quads, of triangles
+STEEP_FAMILIES = (*STEEP, STEEP_RATIONAL, *SPUN)
 
 
-def steep_nets(family: str, rng: Rng, degrees: tuple[int, int], count: int) -> np.ndarray:
+def steep_nets(family: str, rng: Rng, degrees: tuple[int, int], count: int) -> Any:
     """So many nets ``(n, du+1, dv+1, 3)``; 4 at the end of ``steep-rational`` ones, with weights over up to 3 decades.
 
     These take their shapes from the other families here, and from those of ``nets`` with a relief of their own.
     """
+    if family in SPUN:
+        return _spun(SPUN[family], rng, count)
     names = [family] * count if family in STEEP else rng.choice([*STEEP, *SHAPES], count)
     made = np.stack([_placed(name, rng, *degrees) for name in names])
     if family in STEEP:
@@ -69,3 +76,19 @@ def steep_nets(family: str, rng: Rng, degrees: tuple[int, int], count: int) -> n
 def _placed(name: str, rng: Rng, du: int, dv: int) -> Net:
     net = STEEP[name](rng, du, dv) if name in STEEP else plane(du, dv) + _relief(rng) * SHAPES[name](rng, du, dv)
     return net @ np.linalg.qr(rng.normal(size=(3, 3)))[0] if rng.integers(2) else net
+
+
+def _spun(degree: int, rng: Rng, count: int) -> GregoryPatches:
+    """Sheets, some flat, with twists of any size and direction, half of them along the sheet; triangles are pinched."""
+    made = [
+        plane(degree, degree) + _relief(rng) * 0.3 * rng.normal(size=(degree + 1, degree + 1, 3)) for _ in range(count)
+    ]
+    net, slots = np.stack(made), QUAD_TWISTS if degree == 3 else QUAD_TWISTS + TRIANGLE_TWISTS
+    sizes = 10.0 ** rng.uniform(-4.0, 0.0, (count, 1)) * rng.integers(0, 2, (count, slots))
+    if degree != 3:
+        net[:, -1] = net[:, -1:, 0]
+        sizes[:, :QUAD_TWISTS] = 0.0
+    twists = sizes[..., None] * rng.normal(size=(count, slots, 3))
+    twists[:, :, 2] *= rng.integers(0, 2, (count, 1))
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0] if rng.integers(2) else np.eye(3)
+    return GregoryPatches(net @ turn, twists @ turn)

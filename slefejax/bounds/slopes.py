@@ -1,8 +1,8 @@
 """How far linear interpolation is from the slopes of twist terms, of which normals are made (docs/certified.md, 11).
 
 Near its corner a slope, b z by u or by v, is homogeneous of degree 1: continuous, with bounded derivatives that jump at
-the corner and second ones as large as one over the distance from it. With w, P, C and y of ``bounds.twists``, and q = y x
-- (1-y) z, along (x, z)
+the corner and second ones as large as one over the distance from it. With w, P, C and y of ``bounds.twists``, along
+(x, z) and with q = y x - (1-y) z
 
     D2 w_s = -6 y q^2/(s+t),    D3 w_s = 6 q^2 (q + 3 (x+z) y)/(s+t)^2,    w_t(s, t) = -w_s(t, s).
 

@@ -14,8 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slefejax.experiments.attack.judge.digits import MP, exact, long
-from slefejax.experiments.attack.judge.screen import Look, Screen
+from slefejax.experiments.attack.judge.screen import Look, Screen, parts_of
 from slefejax.experiments.attack.judge.search import UNSEEN, Places, bernstein
+from slefejax.experiments.attack.judge.spin import Spin, cross, slopes
 
 _FINEST = 24  # samples along each side of a patch, at least
 _TERMS = 64.0  # rounding errors of a normal, in units of the last place of the largest one
@@ -33,6 +34,7 @@ class Normals(NamedTuple):
     degrees : ``(pairs,)``, the tolerances
     claimed : ``(pairs,)``
     hidden  : whether normals count where the drawn point is not seen, too
+    spin    : of Gregory patches, what twists add
     """
 
     screen: Screen
@@ -40,19 +42,24 @@ class Normals(NamedTuple):
     degrees: np.ndarray
     claimed: np.ndarray
     hidden: bool
+    spin: Spin | None
 
     @staticmethod
-    def of(patches: np.ndarray, look: Look, degrees: float, claimed: np.ndarray, *, hidden: bool) -> Normals:
-        """Of patches ``(patches, du+1, dv+1, 3)``, or 4 at the end if rational, each number taken as exact."""
-        nets, tolerances = normal_nets(patches, long), np.full(len(patches), np.longdouble(degrees))
-        return Normals(Screen.of(patches, look, 1.0), nets, tolerances, claimed, hidden)
+    def of(patches: Any, look: Look, degrees: float, claimed: np.ndarray, *, hidden: bool) -> Normals:
+        """Of patches ``(patches, du+1, dv+1, 3)``, or 4 at the end if rational, or ``GregoryPatches``, each number taken
+        as exact."""
+        nets, spin = normal_nets(patches, long)
+        tolerances = np.full(len(patches), np.longdouble(degrees))
+        return Normals(Screen.of(patches, look, 1.0), nets, tolerances, claimed, hidden, spin)
 
     @staticmethod
     def joined(parts: list[Normals]) -> Normals:
         """The pairs of several views."""
         arrays = zip(*((part.net, part.degrees, part.claimed) for part in parts), strict=True)
         net, degrees, claimed = (np.concatenate(x) for x in arrays)
-        return Normals(Screen.joined([part.screen for part in parts]), net, degrees, claimed, parts[0].hidden)
+        spins = [part.spin for part in parts if part.spin is not None]
+        spin = Spin(*(np.concatenate(x) for x in zip(*spins, strict=True))) if spins else None
+        return Normals(Screen.joined([part.screen for part in parts]), net, degrees, claimed, parts[0].hidden, spin)
 
     @property
     def pairs(self) -> int:
@@ -77,31 +84,38 @@ class Normals(NamedTuple):
     def only(self, chosen: Any) -> Normals:
         """Some of the pairs."""
         net, degrees, claimed = (x[chosen] for x in (self.net, self.degrees, self.claimed))
-        return Normals(self.screen.only(chosen), net, degrees, claimed, self.hidden)
+        spin = None if self.spin is None else Spin(*(x[chosen] for x in self.spin))
+        return Normals(self.screen.only(chosen), net, degrees, claimed, self.hidden, spin)
 
     def astype(self, dtype: Any) -> Normals:
         """In another precision."""
         numbers = self.net.astype(dtype), self.degrees.astype(dtype)
-        return Normals(self.screen.astype(dtype), *numbers, self.claimed, self.hidden)
+        spin = None if self.spin is None else Spin(*(x.astype(dtype) for x in self.spin))
+        return Normals(self.screen.astype(dtype), *numbers, self.claimed, self.hidden, spin)
 
     def at(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Rows and normals ``(pairs, places, 7)`` at u and v ``(pairs, places)``."""
         count, nu, nv, _ = self.net.shape
         along = np.matmul(bernstein(nu - 1, u), self.net.reshape(count, nu, nv * 3)).reshape(count, -1, nv, 3)
         normals = np.sum(bernstein(nv - 1, v)[..., None] * along, axis=2)
+        if self.spin is not None:
+            normals = normals + self.spin.at(u, v)
         return np.concatenate([self.screen.at(u, v), normals], axis=2)
 
     def on_grid(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Rows and normals ``(7, pairs, nu, nv)`` at all pairs of u ``(nu,)`` and v ``(nv,)``."""
         net = np.moveaxis(self.net, 3, 0)
         normals = np.matmul(np.matmul(bernstein(net.shape[2] - 1, u), net), bernstein(net.shape[3] - 1, v).T)
+        if self.spin is not None:
+            every = (np.tile(x.ravel(), (self.pairs, 1)) for x in np.meshgrid(u, v, indexing="ij"))
+            normals = normals + np.moveaxis(self.spin.at(*every), 2, 0).reshape(normals.shape)
         return np.concatenate([self.screen.on_grid(u, v), normals])
 
     def ratio(self, true: np.ndarray, drawn: np.ndarray) -> np.ndarray:
         """The ratio of samples ``(pairs, ...)``, of values ``(7, pairs, ...)``; what is 0 is as wrong as can be."""
         counted = self.claimed.reshape(-1, *[1] * (true.ndim - 2)) & (self.hidden | self.screen.seen(drawn[:4]))
         true, drawn = true[4:], drawn[4:]
-        sine = np.sqrt(np.sum(_cross(true, drawn, 0) ** 2, axis=0))
+        sine = np.sqrt(np.sum(cross(true, drawn, 0) ** 2, axis=0))
         cosine = np.sum(true * drawn, axis=0)
         none = np.all(true == 0, axis=0) | np.all(drawn == 0, axis=0)
         turned = np.where(none, 180, np.rad2deg(np.arctan2(sine, cosine)))
@@ -125,16 +139,25 @@ def settled(patch: np.ndarray, degrees: float, triangle: np.ndarray, share: np.n
 
     patch : ``(1, du+1, dv+1, 3 or 4)``, the one
     """
-    net = normal_nets(patch, exact)
+    net, spin = normal_nets(patch, exact)
     parts = exact(np.maximum(share, 0.0))
     parts = parts / sum(parts)
     corners = exact(triangle)
-    true, *ends = (_point(net[0], u, v) for u, v in [parts @ corners, *corners])
+    true, *ends = (_spun(net[0], spin, u, v) for u, v in [parts @ corners, *corners])
     drawn = parts @ np.stack(ends)
-    sine, cosine = MP.sqrt(sum(_cross(true, drawn, 0) ** 2)), true @ drawn
+    sine, cosine = MP.sqrt(sum(cross(true, drawn, 0) ** 2)), true @ drawn
     if not any(true) or not any(drawn):
         return 180.0 / degrees
     return float(MP.degrees(MP.atan2(sine, cosine)) / MP.mpf(degrees))
+
+
+def _spun(net: np.ndarray, spin: Spin | None, u: Any, v: Any) -> np.ndarray:
+    normal = _point(net, u, v)
+    if spin is None:
+        return normal
+    a, b = _point(spin.along_u[0], u, v), _point(spin.along_v[0], u, v)
+    by_u, by_v = (np.array(own, object) @ spin.twists[0] for own in slopes(len(spin.twists[0]), u, v))
+    return normal + (cross(by_u, b) + cross(a + by_u, by_v)) * spin.scale[0]
 
 
 def _point(net: np.ndarray, u: Any, v: Any) -> np.ndarray:
@@ -158,17 +181,28 @@ def point_sides(patches: np.ndarray) -> np.ndarray:
     return np.stack(found, axis=1)
 
 
-def normal_nets(patches: np.ndarray, number: Any) -> np.ndarray:
-    """Coefficients ``(patches, ku+1, kv+1, 3)`` of normals, the largest 1, in the precision that ``number`` makes."""
-    which = point_sides(patches)
-    net = number(patches)
+def normal_nets(patches: Any, number: Any) -> tuple[np.ndarray, Spin | None]:
+    """Coefficients ``(patches, ku+1, kv+1, 3)`` of normals, the largest 1, in the precision that ``number`` makes.
+
+    And what twists of Gregory patches add.
+    """
+    control, twists = parts_of(patches)
+    which = point_sides(control)
+    net = number(control)
     rational = net.shape[3] == 4
     weight = net[..., 3:] if rational else number(np.ones((*net.shape[:3], 1)))
     first = net[:, :1, :1, :3] / weight[:, :1, :1]
     points = _with_points(net[..., :3] - weight * first, weight, which)
-    points = points / _largest(points)
-    found = _bracket(points, weight / _largest(weight)) if rational else _product(*_slopes(points), _cross)
-    return _over_distance(found / _largest(found), which)
+    size = _largest(points)
+    points = points / size
+    along_u, along_v = _slopes(points)
+    found = _bracket(points, weight / _largest(weight)) if rational else _product(along_u, along_v, cross)
+    scale = 1 / _largest(found)
+    if not twists.shape[1]:
+        return _over_distance(found * scale, which), None
+    pinched = which & (np.arange(4) == 2)
+    spin = Spin(along_u, _over_distance(along_v, pinched), number(twists) / size[:, 0], scale[:, 0, 0, 0])
+    return _over_distance(found * scale, which), spin
 
 
 def _largest(net: np.ndarray) -> np.ndarray:
@@ -198,14 +232,9 @@ def _slopes(net: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _bracket(p: np.ndarray, w: np.ndarray) -> np.ndarray:
     """w p_u x p_v - w_v p_u x p - w_u p x p_v, of homogeneous control points."""
     (p_u, p_v), (w_u, w_v) = _slopes(p), _slopes(w)
-    turning = _product(w, _product(p_u, p_v, _cross), np.multiply)
-    early = _product(w_v, _product(p_u, p, _cross), np.multiply)
-    return turning - early - _product(w_u, _product(p, p_v, _cross), np.multiply)
-
-
-def _cross(a: np.ndarray, b: np.ndarray, axis: int = -1) -> np.ndarray:
-    (x, y, z), (p, q, r) = np.moveaxis(a, axis, 0), np.moveaxis(b, axis, 0)
-    return np.stack([y * r - z * q, z * p - x * r, x * q - y * p], axis=axis)
+    turning = _product(w, _product(p_u, p_v, cross), np.multiply)
+    early = _product(w_v, _product(p_u, p, cross), np.multiply)
+    return turning - early - _product(w_u, _product(p, p_v, cross), np.multiply)
 
 
 def _product(a: np.ndarray, b: np.ndarray, multiply: Any) -> np.ndarray:
