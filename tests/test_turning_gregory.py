@@ -19,7 +19,7 @@ from slefejax.predict.normals.undivided import Surfaces
 
 ABOVE = View(Camera.orthographic((0.0, 0.0, 50.0), (0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0), height=40.0), 300, 300)
 SLOTS = 6
-KINDS = ("quads", pytest.param("triangles", marks=pytest.mark.slow))
+KINDS = ["quads", pytest.param("triangles", marks=pytest.mark.slow)]
 
 
 def patches_of(rng, kind, count, twist=0.1):
@@ -172,7 +172,7 @@ def test_cells_and_triangles_turn_no_more_than_is_told(rng, kind):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ("quads", "triangles"))
+@pytest.mark.parametrize("kind", ["quads", "triangles"])
 def test_grids_keep_the_angle(rng, kind):
     patches = patches_of(rng, kind, 12, twist=0.03)
     if kind == "quads":

@@ -46,8 +46,10 @@ class Normals(NamedTuple):
 
     @staticmethod
     def of(patches: Any, look: Look, degrees: float, claimed: np.ndarray, *, hidden: bool) -> Normals:
-        """Of patches ``(patches, du+1, dv+1, 3)``, or 4 at the end if rational, or ``GregoryPatches``, each number taken
-        as exact."""
+        """Of patches ``(patches, du+1, dv+1, 3)``, or 4 at the end if rational, or ``GregoryPatches``.
+
+        Each number is taken as exact.
+        """
         nets, spin = normal_nets(patches, long)
         tolerances = np.full(len(patches), np.longdouble(degrees))
         return Normals(Screen.of(patches, look, 1.0), nets, tolerances, claimed, hidden, spin)

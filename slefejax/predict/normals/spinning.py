@@ -158,6 +158,7 @@ def length(vectors: Array) -> Array:
 def longest(net: Array, maxima: Maxima) -> Array:
     """The length of the longest coefficient of vector nets ``(..., nu, nv, 3, lanes)``.
 
+    >>> from slefejax.lanes.maxima import EXACT
     >>> longest(jnp.array([3.0, 4.0, 0.0]).reshape(1, 1, 3, 1), EXACT).tolist()
     [5.0]
     """
