@@ -14,9 +14,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tyro
 
+import slefejax
 from slefejax.conversion.acc import ALPHA
 from slefejax.errors import InputError
+from slefejax.experiments.commands import COMMANDS
 from slefejax.experiments.shading import ShadingOptions, both_tolerances
+from slefejax.figures.page import Format, Pages
 from slefejax.framing import clipping_planes
 from slefejax.geometry.gregory import GregoryPatches
 from slefejax.geometry.view import Camera, View, bounding_sphere
@@ -190,6 +193,18 @@ class OutputOptions:
 
 
 @dataclass(frozen=True)
+class FigureOptions(OutputOptions):
+    """Where results go, and how figures are written."""
+
+    format: Format = "png"
+    """Of figures: png, or pdf and svg for papers; pictures within these, and error images, stay pixels."""
+
+    def pages(self, command: Any) -> Pages:
+        """What the figures of that command have in common."""
+        return Pages(self.format, f"slefejax {slefejax.__version__}: {' '.join(words_of(command))}")
+
+
+@dataclass(frozen=True)
 class PredictionOptions:
     """How factors are predicted."""
 
@@ -292,6 +307,35 @@ def own_modules(*names: str) -> Iterator[None]:
         yield
     finally:
         sys.path.remove(here)
+
+
+_POSITIONAL = ("scene", "scenes")
+
+
+def words_of(command: Any) -> list[str]:
+    """What is typed for a command: its name, its scenes, and the options that are not as they are by themselves."""
+    own = f"{type(command).__module__.removeprefix('slefejax.experiments.')}:{type(command).__name__}"
+    name = next((name for name, place in COMMANDS.items() if place == own), type(command).__name__)
+    given = [getattr(command, field) for field in _POSITIONAL if hasattr(command, field)]
+    scenes = [Path(scene).name for one in given for scene in ([one] if isinstance(one, str) else one)]
+    return [name, *scenes, *_changed(command)]
+
+
+def _changed(options: Any) -> Iterator[str]:
+    for part in fields(options):
+        value = getattr(options, part.name)
+        if part.name in (*_POSITIONAL, "output"):
+            continue
+        if is_dataclass(value):
+            yield from _changed(value)
+        elif value != part.default:
+            yield f"--{part.name.replace('_', '-')}"
+            if not isinstance(value, bool):
+                yield from (f"{own:g}" if isinstance(own, float) else str(own) for own in _each(value))
+
+
+def _each(value: Any) -> Sequence[Any]:
+    return value if isinstance(value, tuple) else (value,)
 
 
 def option_names(command: Any) -> set[str]:

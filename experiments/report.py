@@ -18,6 +18,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from slefejax.experiments.store import open_first
 from slefejax.experiments.tables import strict
 
 MOST_ROWS = 60
@@ -127,7 +128,7 @@ class Report:
         for title, rows in self.more:
             lines += [f"\n{title}", _table(rows)] if rows else []
         if self.out is not None:
-            lines.append(f"Results are in {self.out}")
+            lines.append(f"Results are in {self.out}: open {open_first(self.out).name} first")
         return "".join(f"{line}\n" for line in lines if line)
 
 

@@ -23,9 +23,10 @@ from typing import Any
 
 from slefejax.errors import InputError
 from slefejax.experiments.tables import Row, strict, write_tables
+from slefejax.figures.page import Page, Pages
 
 PACKAGES = ("slefejax", "jax", "jaxlib", "numpy", "scipy", "scikit-image", "trimesh", "moderngl", "matplotlib")
-_COLUMNS = 3  # grows when rows get other columns, or other meanings: what was stopped before is not gone on with
+_COLUMNS = 4  # grows when rows get other columns, or other meanings: what was stopped before is not gone on with
 
 
 class Run:
@@ -34,13 +35,18 @@ class Run:
     arguments : what was asked for
     inputs    : what it was asked of, besides: contents of files (``digest``), the device
     out       : the folder for the results, or None for runs/EXPERIMENT/TIME
+    pages     : what its figures have in common
     """
 
-    def __init__(self, experiment: str, arguments: Row, out: Path | None, inputs: Row | None = None) -> None:
+    def __init__(
+        self, experiment: str, arguments: Row, out: Path | None, inputs: Row | None = None, pages: Pages | None = None
+    ) -> None:
         self.experiment, self.arguments = experiment, arguments
+        self._pages, self._first = pages or Pages(), _TABLE
         self._out = out.resolve() if out else None
         self.parent = self._out.parent if self._out else Path("runs") / experiment
         asked = [experiment, arguments, inputs, str(self._out), _versions(), _commit(), _COLUMNS]
+        asked += [self._pages.format]
         text = json.dumps(asked, sort_keys=True, default=str)
         self.work = self.parent / f".{experiment}-{digest(text.encode())}.partial"
         self._rows_file = self.work / _ROWS
@@ -70,6 +76,13 @@ class Run:
         """Where a file of this run is written."""
         self._make_folder()
         return self.work / name
+
+    def figure(self, name: str) -> Page:
+        """Where a figure of this run is written. The first that is asked for is what to open first."""
+        self._make_folder()
+        page = self._pages.page(self.work, name)
+        self._first = page.path.name if self._first == _TABLE else self._first
+        return page
 
     def _is_own(self, file: Path) -> bool:
         """Whether a file in the folder that was named is there because this run was stopped while it put it there."""
@@ -121,6 +134,7 @@ class Run:
         write_tables(self.work, "table", rows)
         content = {
             "experiment": self.experiment,
+            "open_first": self._first,
             "arguments": self.arguments,
             "time": datetime.now().astimezone().isoformat(timespec="seconds"),
             "versions": _versions(),
@@ -128,7 +142,7 @@ class Run:
             "machine": {"system": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
             **record,
         }
-        self.file("run.json").write_text(json.dumps(strict(content), indent=2, default=str, allow_nan=False) + "\n")
+        self.file(_RECORD).write_text(json.dumps(strict(content), indent=2, default=str, allow_nan=False) + "\n")
         place = self._into_place()
         for name in (_ROWS, _LOCK):
             (place / name).unlink(missing_ok=True)
@@ -140,7 +154,7 @@ class Run:
         if not self._out.exists():
             return self.work.rename(self._out)
         # the folder that was named may be somebody's current one: it stays, and the record comes last
-        for file in sorted(self.work.iterdir(), key=lambda path: path.name == "run.json"):
+        for file in sorted(self.work.iterdir(), key=lambda path: path.name == _RECORD):
             if file.name not in (_ROWS, _LOCK) and not (self._out / file.name).exists():
                 os.link(file, self._out / file.name)
         shutil.rmtree(self.work)
@@ -170,7 +184,12 @@ class Run:
             raise InputError(f"the same run is under way in another process ({self.work}): wait for it") from None
 
 
-_LOCK, _ROWS = "lock", "rows.jsonl"
+_LOCK, _ROWS, _RECORD, _TABLE = "lock", "rows.jsonl", "run.json", "table.csv"
+
+
+def open_first(folder: Path) -> Path:
+    """The file of a finished run that says the most."""
+    return folder / json.loads((folder / _RECORD).read_text())["open_first"]
 
 
 def digest(content: bytes) -> str:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 from matplotlib.patches import FancyBboxPatch
 
-from slefejax.figures.style import SETTINGS, new_figure
+from slefejax.figures.page import Page
+from slefejax.figures.style import LINES, PART, PART_APART, PART_MARKED, QUIET, SMALL, drawing
 
 _SAYS = {
     "lanes": "how kernels run",
@@ -31,7 +31,7 @@ _SAYS = {
 }
 _ACROSS, _UP = 3.3, 1.45  # between columns and rows
 _WIDTH, _HEIGHT = 3.05, 0.86
-_COLOURS = {"predict": "#f6d5b8", "measure": "#cfe3f4", "gpu": "#cfe3f4"}
+_COLOURS = {"predict": PART_MARKED, "measure": PART_APART, "gpu": PART_APART}
 
 
 def write_architecture(
@@ -42,26 +42,23 @@ def write_architecture(
     sizes : modules of each folder;  arrows : they stand in the file's own text too
     """
     middle = {part: (_ACROSS * column, _UP * row) for part, (column, row) in places.items()}
-    with mpl.rc_context({**SETTINGS, "axes.grid": False}):
-        figure = new_figure(14.5, 9)
+    title = "An arrow points to what is imported; arrows that follow from others are left out."
+    with drawing(Page(path, described=described(arrows)), 14.5, 9, title, grid=False) as figure:
         axes = figure.subplots()
         for one, other in arrows:
             _arrow(axes, middle[one], middle[other])
         for part, (x, y) in middle.items():
-            corner, colour = (x - _WIDTH / 2, y - _HEIGHT / 2), _COLOURS.get(part, "#f4f0e6")
+            corner, colour = (x - _WIDTH / 2, y - _HEIGHT / 2), _COLOURS.get(part, PART)
             shape = "round,pad=0,rounding_size=0.12"
-            axes.add_patch(FancyBboxPatch(corner, _WIDTH, _HEIGHT, shape, fc=colour, ec="#303030", zorder=2))
+            axes.add_patch(FancyBboxPatch(corner, _WIDTH, _HEIGHT, shape, fc=colour, ec=LINES, zorder=2))
             count = f"{sizes[part]} module" + "s" * (sizes[part] != 1)
-            axes.text(
-                x, y + 0.17, f"{part}  ({count})", ha="center", va="center", fontsize=11.5, weight="bold", zorder=3
-            )
-            axes.text(x, y - 0.2, _SAYS[part], ha="center", va="center", fontsize=10.5, zorder=3)
+            words: Any = {"ha": "center", "va": "center", "size": SMALL, "zorder": 3}
+            axes.text(x, y + 0.17, f"{part}  ({count})", weight="bold", **words)
+            axes.text(x, y - 0.2, _SAYS[part], **words)
         xs, ys = zip(*middle.values(), strict=True)
         axes.set_xlim(min(xs) - _WIDTH / 2 - 0.1, max(xs) + _WIDTH / 2 + 0.1)
         axes.set_ylim(min(ys) - _HEIGHT, max(ys) + _HEIGHT)
         axes.set_axis_off()
-        axes.set_title("An arrow points to what is imported; arrows that follow from others are left out.", fontsize=12)
-        figure.savefig(path, format="png", metadata={"Description": described(arrows)})
 
 
 def described(arrows: list[tuple[str, str]]) -> str:
@@ -76,5 +73,5 @@ def _arrow(axes: Any, start: tuple[float, float], end: tuple[float, float]) -> N
         x, u = x + side * _WIDTH / 2, u - side * _WIDTH / 2
     else:
         y, v = y - _HEIGHT / 2, v + _HEIGHT / 2
-    style = {"arrowstyle": "-|>", "color": "#505050", "lw": 1.4, "shrinkA": 0, "shrinkB": 0}
+    style = {"arrowstyle": "-|>", "color": QUIET, "lw": 1.4, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", (u, v), (x, y), arrowprops=style, zorder=1)

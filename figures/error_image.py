@@ -1,14 +1,23 @@
-"""The error of every pixel in the colours of [YBP12]: grey, blue, green, red."""
+"""The error of every pixel in the colours of [YBP12], under a title, with a scale and what the colours mean."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.colors import to_rgb
-from matplotlib.image import imsave
+from matplotlib.font_manager import findfont
+from PIL import Image, ImageDraw, ImageFont
+from PIL.PngImagePlugin import PngInfo
 
-from slefejax.figures.style import BACKGROUND, ERROR_CLASSES
+from slefejax.figures.style import BACKGROUND, ERROR_CLASSES, INK, LINES
+
+_FONT = 15  # pixels
+_LINE, _EDGE = 21, 8  # pixels of a line of text, and around everything
+_SWATCH = 16  # pixels of a sample of a colour
+_NARROWEST = 320  # pixels of a page
+_KEPT = "picture"  # the name, in the file, of where on the page the picture is
 
 
 def error_colours(error: np.ndarray) -> np.ndarray:
@@ -20,6 +29,71 @@ def error_colours(error: np.ndarray) -> np.ndarray:
     return table[kind][::-1]
 
 
-def write_error_image(path: Path, error: np.ndarray) -> None:
-    """One pixel of the picture a pixel of the screen, as PNG."""
-    imsave(path, error_colours(error), format="png")
+def write_error_image(path: Path, error: np.ndarray, title: str) -> None:
+    """A PNG: below a title one pixel of the picture a pixel of the screen, a scale, and what the colours mean."""
+    page, box = error_page(Image.fromarray(error_colours(error)), title)
+    kept = PngInfo()
+    kept.add_text(_KEPT, " ".join(map(str, box)))
+    page.save(path, format="PNG", pnginfo=kept)
+
+
+def read_error_image(path: Path) -> np.ndarray:
+    """``(height, width, 3)`` from 0 to 1, row 0 at the top: the pixels of the screen alone."""
+    with Image.open(path) as page:
+        box = tuple(int(number) for number in page.text[_KEPT].split())  # type: ignore[attr-defined]
+        return np.asarray(page.convert("RGB").crop(box), float) / 255
+
+
+def error_page(
+    picture: Image.Image, title: str, wide: int = 0, scale: float = 1.0
+) -> tuple[Image.Image, tuple[int, int, int, int]]:
+    """The picture on a page at least so many pixels wide, and where it is: left, top, right, bottom.
+
+    scale : pixels of the picture a pixel of the screen
+    """
+    font = ImageFont.truetype(findfont("DejaVu Sans"), _FONT)
+    wide = max(wide, picture.width, _NARROWEST)
+    above = _lines(title.split(" "), font, wide, " ")
+    below = _lines([name for _, _, name in ERROR_CLASSES], font, wide, "", _SWATCH + 22)
+    top = _LINE * len(above) + 2 * _EDGE
+    page = Image.new("RGB", (wide, top + picture.height + _LINE * (len(below) + 1) + 2 * _EDGE), BACKGROUND)
+    left = (wide - picture.width) // 2
+    page.paste(picture, (left, top))
+    draw = ImageDraw.Draw(page)
+    for number, words in enumerate(above):
+        draw.text((_EDGE, _EDGE + number * _LINE), " ".join(words), INK, font)
+    start = top + picture.height + _EDGE
+    _draw_scale(draw, font, wide, start, picture.width, scale)
+    colours = {name: colour for _, colour, name in ERROR_CLASSES}
+    for number, names in enumerate(below):
+        x, y = float(_EDGE), start + (number + 1) * _LINE
+        for name in names:
+            draw.rectangle((x, y, x + _SWATCH, y + _SWATCH - 2), colours[name], LINES)
+            draw.text((x + _SWATCH + 5, y - 3), name, INK, font)
+            x += _SWATCH + 22 + font.getlength(name)
+    return page, (left, top, left + picture.width, top + picture.height)
+
+
+def _draw_scale(draw: Any, font: Any, wide: int, y: float, width: int, scale: float) -> None:
+    """A bar of 1, 2 or 5 times a power of ten pixels of the screen, and what the colours say."""
+    shown = width / scale
+    power = 10.0 ** np.floor(np.log10(max(1.0, shown / 5)))
+    pixels = power * max(k for k in (1, 2, 5) if k * power <= max(1.0, shown / 5))
+    draw.text((_EDGE, y - 3), "error of a pixel:", INK, font)
+    name = f"{pixels:g} px"
+    right = wide - _EDGE - font.getlength(name) - 6
+    draw.text((right + 6, y - 3), name, INK, font)
+    draw.line((right - pixels * scale, y + 7, right, y + 7), INK, 3)
+
+
+def _lines(words: list[str], font: Any, wide: int, between: str, extra: float = 0.0) -> list[list[str]]:
+    """The words, as many a line as fit."""
+    found: list[list[str]] = [[]]
+    for word in words:
+        longer = [*found[-1], word]
+        taken = font.getlength(between.join(longer)) + extra * len(longer)
+        if found[-1] and taken > wide - 2 * _EDGE:
+            found.append([word])
+        else:
+            found[-1] = longer
+    return found

@@ -22,7 +22,7 @@ from slefejax.experiments.attack.settings import SETTINGS
 from slefejax.experiments.attack.steep import STEEP_FAMILIES
 from slefejax.experiments.attack.workers import results, until
 from slefejax.experiments.cli import start_jax
-from slefejax.experiments.options import OutputOptions, check_count
+from slefejax.experiments.options import FigureOptions, check_count
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run
 from slefejax.figures.attack.attack import write_attack_figure
@@ -48,13 +48,13 @@ class Attack:
     """Ways to ask, such as tiles-2 or drawn; all if there are none."""
     workers: int = 0
     """Processes; 0: as many as there are cores."""
-    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+    output: tyro.conf.OmitArgPrefixes[FigureOptions] = field(default_factory=FigureOptions)
 
     def run(self) -> Report:
         """Judge batch after batch, write down every offender."""
         self._check()
         asked = {**asdict(self), "output": None, "workers": None, "hours": None}
-        with Run("attack", asked, self.output.out) as run:
+        with Run("attack", asked, self.output.out, {}, self.output.pages(self)) as run:
             found = {_batch(row): row for row in run.rows()}
             with progress("judging", self.pairs) as show:
                 for row in self._new(found, show):
@@ -64,7 +64,7 @@ class Attack:
                 raise InputError("--hours ended before the first batch: give it more time")
             offenders = [_write_offender(run, row, k) for row in rows for k in range(len(row["offenders"]))]
             table = summary(rows)
-            write_attack_figure(run.file("attack.png"), table)
+            write_attack_figure(run.figure("attack"), table)
             totals = _totals(rows)
             out = run.finish(table, {"scene": None, "batches": len(rows), **totals, "offenders": offenders})
         extra = {**totals, "batches": len(rows), "offenders": [str(out / name) for name in offenders]}

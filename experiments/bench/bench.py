@@ -16,7 +16,7 @@ from slefejax.arguments import no_such
 from slefejax.errors import InputError
 from slefejax.experiments.bench.process import PRECISIONS, Worker, the_device
 from slefejax.experiments.bench.stages import DOUBLE, ONCE, STAGES
-from slefejax.experiments.options import OutputOptions
+from slefejax.experiments.options import FigureOptions
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run
 from slefejax.figures.bench.bench import FRAME, write_growth, write_shares
@@ -40,13 +40,16 @@ class Bench:
     """Names of stages, such as fused; all if there are none."""
     quick: bool = False
     """The first two numbers of patches, single precision, fewer runs."""
-    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+    output: tyro.conf.OmitArgPrefixes[FigureOptions] = field(default_factory=FigureOptions)
 
     def run(self) -> Report:
         """Measure, compare, tabulate, draw."""
         cells = self._cells()
         machine = machine_record()
-        with Run("bench", {**asdict(self), "output": None}, self.output.out, machine) as run, ExitStack() as stack:
+        with (
+            Run("bench", {**asdict(self), "output": None}, self.output.out, machine, self.output.pages(self)) as run,
+            ExitStack() as stack,
+        ):
             seconds = _SECONDS / 4 if self.quick else _SECONDS
             workers = [stack.enter_context(Worker(cores, seconds)) for cores in dict.fromkeys((1, passes.cores()))]
 
@@ -56,9 +59,9 @@ class Bench:
             with progress("measuring", len(cells)) as show:
                 measured = run.each("cell", list(cells), measure, show)
             rows = [row for cell in measured for row in cell["rows"]]
-            write_growth(run.file("growth.png"), rows)
+            write_growth(run.figure("time_against_patches"), rows)
             if any(row["stage"] in FRAME for row in rows):
-                write_shares(run.file("shares.png"), rows)
+                write_shares(run.figure("shares_of_a_frame"), rows)
             run.file("benchmarks.md").write_text(as_markdown(rows, machine))
             out = run.finish(rows, {"scene": None, "machine": machine})
         title = f"{machine['processor']}, {machine['cores']} cores; medians and 10 to 90 % of the runs in milliseconds"

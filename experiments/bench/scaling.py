@@ -13,7 +13,7 @@ import tyro
 from slefejax import Camera, Scene, View, tessellation_factors
 from slefejax.bounds.tiles import restrict_to_tiles
 from slefejax.errors import InputError
-from slefejax.experiments.options import LoadOptions, OutputOptions, check_count, parse_size
+from slefejax.experiments.options import FigureOptions, LoadOptions, check_count, parse_size
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.figures.bench.scaling import write_scaling
@@ -39,7 +39,7 @@ class Scaling:
     repeats: int = 9
     """Draws whose median is a time."""
     loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
-    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+    output: tyro.conf.OmitArgPrefixes[FigureOptions] = field(default_factory=FigureOptions)
 
     def run(self) -> Report:
         """Measure all combinations, fit, draw."""
@@ -49,12 +49,12 @@ class Scaling:
         inputs = {"scene": digest(scene.patches().tobytes()), "opengl": device.renderer}
         cases = [f"{s}x{s} parts, scale {m:g}, zoom {z:g}" for s, m, z in product(SPLITS, SCALES, ZOOMS)]
         settings = dict(zip(cases, product(SPLITS, SCALES, ZOOMS), strict=True))
-        with Run("scaling", {**asdict(self), "output": None}, self.output.out, inputs) as run:
+        with Run("scaling", {**asdict(self), "output": None}, self.output.out, inputs, self.output.pages(self)) as run:
             bench = _Bench(scene, size, self.repeats)
             with progress("drawing", len(cases)) as show:
                 measured = run.each("case", cases, lambda case: bench.row(*settings[case]), show)
             rows, fit = fit_costs(measured)
-            write_scaling(run.file("scaling.png"), measured, rows, fit["r_squared"], device.renderer)
+            write_scaling(run.figure("scaling"), measured, rows, fit["r_squared"], device.renderer, scene.name)
             notes = (*scene.notes, *undetermined(rows))
             record = {
                 "scene": scene.name,

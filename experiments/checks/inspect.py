@@ -20,8 +20,8 @@ from slefejax.experiments.checks.limit import distance_row
 from slefejax.experiments.checks.reflected import reflected
 from slefejax.experiments.moves.outlines import outlines
 from slefejax.experiments.options import (
+    FigureOptions,
     LoadOptions,
-    OutputOptions,
     ViewOptions,
     applicable,
     camera_record,
@@ -60,7 +60,7 @@ class Inspect:
     """Measure what leaving out saves: the passes with what the scene has no need of put in."""
     loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
     camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
-    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+    output: tyro.conf.OmitArgPrefixes[FigureOptions] = field(default_factory=FigureOptions)
 
     def run(self) -> Report:
         """Read, count, convert, draw."""
@@ -79,7 +79,9 @@ class Inspect:
         if self.reflections:
             scene.tangents()  # a scene without is refused before anything is drawn
         arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
-        with Run("inspect", arguments, self.output.out, {"scene": digest(scene.patches().tobytes())}) as run:
+        with Run(
+            "inspect", arguments, self.output.out, {"scene": digest(scene.patches().tobytes())}, self.output.pages(self)
+        ) as run:
             notes = (*scene.notes, *(f"not needed: {what}" for what in scene.left_out()))
             found, said = _picture(scene, view, self.tolerance, run)
             row |= found
@@ -105,7 +107,9 @@ class Inspect:
         assert content.mesh is not None
         name = Path(self.scene).stem
         notes = (*content.notes, f"this makes no scene: {reason}")
-        with Run("inspect", {**asdict(self), "output": None}, self.output.out, {"reason": reason}) as run:
+        with Run(
+            "inspect", {**asdict(self), "output": None}, self.output.out, {"reason": reason}, self.output.pages(self)
+        ) as run:
             out = run.finish([row], {"scene": name, "notes": notes})
         return Report(name, out, [row], f"{name}: no scene", notes, {}, self.output.json)
 
@@ -232,7 +236,7 @@ def _picture(scene: Scene, view: View, tolerance: float, run: Run) -> tuple[Row,
     painted = np.where(shown, np.append(kinds, 0)[seen.patch], -1)
     factor = np.where(shown, np.append(np.asarray(factors.factor, float), 0.0)[seen.patch], np.nan)
     panels = Panels(outlines(scene, view).polygons, seen.patch, painted, KINDS, factor, error)
-    write_inspect_figure(run.file("inspect.png"), panels, _title(scene), tolerance)
+    write_inspect_figure(run.figure("inspect"), panels, _title(scene), tolerance)
     return row, notes
 
 
@@ -247,7 +251,7 @@ def _reflections(scene: Scene, view: View, tolerance: float, run: Run) -> tuple[
     kinds = ("the surface, $P_u \\times P_v$", "tangent patches, $T_u \\times T_v$")
     said = [f"normals of {kind}\njump by up to {jump:.2g}°" for kind, jump in zip(kinds, found.jumps, strict=True)]
     whole = Pictures(found.whole, said, scene.name)
-    write_normal_figure(run.file("reflections.png"), whole, found.near, found.frame)
+    write_normal_figure(run.figure("reflections"), whole, found.near, found.frame)
     return ()
 
 

@@ -13,7 +13,7 @@ from slefejax import Scene, View, limit_distance, tessellation_factors, triangle
 from slefejax.errors import InputError
 from slefejax.experiments.checks.mirror import reflections
 from slefejax.experiments.checks.splats import splatted
-from slefejax.experiments.options import LoadOptions, OutputOptions, Scenes, ViewOptions, camera_record, notes_of
+from slefejax.experiments.options import FigureOptions, LoadOptions, Scenes, ViewOptions, camera_record, notes_of
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.figures.checks.limit import Pictures, write_limit_figure, write_reflection_figure
@@ -48,7 +48,7 @@ class Limit:
     """Error in pixels for the triangles that are counted."""
     loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
     camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
-    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+    output: tyro.conf.OmitArgPrefixes[FigureOptions] = field(default_factory=FigureOptions)
 
     def run(self) -> Report:
         """Measure, tabulate, draw."""
@@ -63,7 +63,7 @@ class Limit:
         inputs = {"scenes": [digest(scene.points().tobytes()) for scene in scenes]}
         names = [scene.name for scene in scenes]
         by_name = {case.name(): case for case in cases}
-        with Run("limit", arguments, self.output.out, inputs) as run:
+        with Run("limit", arguments, self.output.out, inputs, self.output.pages(self)) as run:
             with progress("measuring", len(cases)) as show:
                 rows = run.each("case", list(by_name), lambda name: self._row(by_name[name], names, views), show)
             rows = [{name: value for name, value in row.items() if name != "case"} for row in rows]
@@ -121,13 +121,13 @@ class Limit:
             f"{title}\nlargest {100.0 * own.largest / diagonal:.3f} %, {own.pixels:.2f} px, hidden parts too"
             for title, own in zip(titles, found, strict=True)
         ]
-        write_limit_figure(run.file("limit.png"), Pictures(pictures, said, scenes[0].name))
+        write_limit_figure(run.figure("limit"), Pictures(pictures, said, scenes[0].name))
         stripes = [*reflections(scenes)]
         if stripes:
             jumps = [largest_jump(scene) for scene in scenes]
             said = [f"{title}\nnormals jump by up to {jump:.2g}°" for title, jump in zip(titles, jumps, strict=True)]
             shown = Pictures(stripes, [*said, "limit surface"], scenes[0].name)
-            write_reflection_figure(run.file("reflections.png"), shown)
+            write_reflection_figure(run.figure("reflections"), shown)
 
 
 def _check(scene: Scene) -> None:

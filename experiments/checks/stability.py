@@ -14,7 +14,7 @@ from slefejax.arguments import no_such
 from slefejax.experiments.checks import reference
 from slefejax.experiments.checks.cases import FAMILIES, Case
 from slefejax.experiments.checks.rig import MEASURES
-from slefejax.experiments.options import OutputOptions
+from slefejax.experiments.options import FigureOptions
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run
 from slefejax.figures.checks.stability import write_stability_figure
@@ -40,16 +40,16 @@ class Stability:
     """Names of families of cases, such as offset; all if there are none."""
     quick: bool = False
     """The first, middle and last value of every family only."""
-    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+    output: tyro.conf.OmitArgPrefixes[FigureOptions] = field(default_factory=FigureOptions)
 
     def run(self) -> Report:
         """Compute, compare, tabulate, draw."""
         cells = self._cells()
-        with Run("stability", {**asdict(self), "output": None}, self.output.out) as run:
+        with Run("stability", {**asdict(self), "output": None}, self.output.out, {}, self.output.pages(self)) as run:
             with progress("computing", len(cells)) as show:
                 rows = run.each("case", list(cells), lambda name: _row(*cells[name]), show)
             rows = [{name: value for name, value in row.items() if name != "case"} for row in rows]
-            write_stability_figure(run.file("stability.png"), rows)
+            write_stability_figure(run.figure("stability"), rows)
             out = run.finish(rows, {"scene": None, "digits": reference.DIGITS})
         broken = sum(row["containment_violations"] + row["certificate_violations"] for row in rows)
         title = (

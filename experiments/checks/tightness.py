@@ -14,7 +14,7 @@ from slefejax import slefe, slefe_boxes, slefe_table
 from slefejax.bounds.rivals import BATCH_METHODS, CURVE_METHODS, batch_widths, enclose_curve
 from slefejax.bounds.slefe_tables import basis_coefficients
 from slefejax.errors import InputError
-from slefejax.experiments.options import OutputOptions
+from slefejax.experiments.options import FigureOptions
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run
 from slefejax.figures.checks.tightness import write_width_against_pieces, write_width_against_time
@@ -39,7 +39,7 @@ class Tightness:
     """Random curves of each kind."""
     seed: int = 1
     """Seed of the random curves."""
-    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+    output: tyro.conf.OmitArgPrefixes[FigureOptions] = field(default_factory=FigureOptions)
 
     def run(self) -> Report:
         """Measure, tabulate, draw."""
@@ -48,7 +48,7 @@ class Tightness:
         cases = [
             f"{kind}, {m} pieces, {method}" for kind in kinds for m in self.segments for method in self._methods(m)
         ]
-        with Run("tightness", {**asdict(self), "output": None}, self.output.out) as run:
+        with Run("tightness", {**asdict(self), "output": None}, self.output.out, {}, self.output.pages(self)) as run:
             cells = _Cells(kinds)
             with progress("bounding", len(cases)) as show:
                 rows = run.each("case", cases, cells.row, show)
@@ -71,12 +71,14 @@ class Tightness:
         return [m for m in CURVE_METHODS if m != "optimum" and (m != "control-polygon" or pieces % self.degree == 0)]
 
     def _draw(self, run: Run, rows: list[Row]) -> None:
+        write_width_against_pieces(run.figure("width_against_pieces"), rows)
+        write_width_against_time(run.figure("width_against_time"), rows)
         t = np.linspace(0.0, 1.0, 301)
         step = step_curve(self.degree)
         table, bounds = slefe_table(self.degree, FIGURE_PIECES), slefe(step, FIGURE_PIECES)
         first = np.array([float(c) for c in basis_coefficients(self.degree, 1)])
         write_slefe_construction(
-            run.file("slefe_construction.png"),
+            run.figure("slefe_construction"),
             t,
             evaluate_curve(step, t),
             step,
@@ -86,9 +88,7 @@ class Tightness:
         )
         six = {name: enclose_curve(name, step, FIGURE_PIECES) for name in SIX}
         panels = [(name, bound.regions, bound.area, bound.width) for name, bound in six.items()]
-        write_six_bounds(run.file("six_bounds.png"), t, evaluate_curve(step, t), panels, FIGURE_PIECES)
-        write_width_against_pieces(run.file("width_against_pieces.png"), rows)
-        write_width_against_time(run.file("width_against_time.png"), rows)
+        write_six_bounds(run.figure("six_bounds"), t, evaluate_curve(step, t), panels, FIGURE_PIECES)
 
 
 def step_curve(degree: int) -> np.ndarray:

@@ -14,7 +14,7 @@ import tyro
 from slefejax import Scene, View, distance_for_budget, sampled_error, tolerance_for_budget
 from slefejax.arguments import on_device
 from slefejax.errors import InputError
-from slefejax.experiments.options import LoadOptions, OutputOptions, PredictionOptions, ViewOptions, camera_record
+from slefejax.experiments.options import FigureOptions, LoadOptions, PredictionOptions, ViewOptions, camera_record
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.shading import numbers_without, unclaimed_numbers
 from slefejax.experiments.store import Row, Run
@@ -41,7 +41,7 @@ class BudgetOfScene:
     prediction: tyro.conf.OmitArgPrefixes[PredictionOptions] = field(default_factory=PredictionOptions)
     camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
     loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
-    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+    output: tyro.conf.OmitArgPrefixes[FigureOptions] = field(default_factory=FigureOptions)
 
     def run(self) -> Report:
         """Search, measure, draw."""
@@ -52,14 +52,14 @@ class BudgetOfScene:
         scene = self.loading.load(self.scene)
         view = self.camera.view(scene)
         arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
-        with Run("budget", arguments, self.output.out, {"process": os.getpid()}) as run:
+        with Run("budget", arguments, self.output.out, {"process": os.getpid()}, self.output.pages(self)) as run:
             with progress("searching", len(self.triangles)) as show:
                 found = []
                 for wanted in self.triangles:
                     found.append(self._row(scene, view, wanted))
                     show(len(found))
             rows = shown(found)
-            write_budget(run.file("budget.png"), rows, self._curve(scene, view, rows), self.by, scene.name)
+            write_budget(run.figure("budget"), rows, self._curve(scene, view, rows), self.by, scene.name)
             without = sorted({patch for row in found for patch in row["_without_normal"]})
             notes = (*scene.notes, *_beyond(rows), *unclaimed_numbers(without))
             out = run.finish(rows, {"scene": scene.name, "notes": notes})

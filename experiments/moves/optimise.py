@@ -13,8 +13,8 @@ from slefejax.cameras import cameras_around
 from slefejax.errors import InputError
 from slefejax.experiments.moves.outlines import outlines
 from slefejax.experiments.options import (
+    FigureOptions,
     LoadOptions,
-    OutputOptions,
     PredictionOptions,
     check_count,
     parse_size,
@@ -57,7 +57,7 @@ class Optimise:
     """Width x height of the picture in pixels."""
     prediction: tyro.conf.OmitArgPrefixes[PredictionOptions] = field(default_factory=PredictionOptions)
     loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
-    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+    output: tyro.conf.OmitArgPrefixes[FigureOptions] = field(default_factory=FigureOptions)
 
     def run(self) -> Report:
         """Move, measure, write, draw."""
@@ -70,7 +70,7 @@ class Optimise:
         views = cameras_around(scene, *parse_size(self.size), self.cameras, self.seed)
         inputs = {"patches": digest(scene.patches().tobytes())}
         options, allowed = self.prediction.arguments(), self.within * radius
-        with Run("optimise", {**asdict(self), "output": None}, self.output.out, inputs) as run:
+        with Run("optimise", {**asdict(self), "output": None}, self.output.out, inputs, self.output.pages(self)) as run:
             start = time.perf_counter()
             found = self._move(run, scene, views[::2], allowed, options)
             seconds = time.perf_counter() - start
@@ -86,7 +86,7 @@ class Optimise:
             write_csv(run.file("patches.csv"), patches)
             whole = {name: tuple(one.sum(axis=0) for one in pair) for name, pair in counts.items()}
             shown = replace(scene, control=found.patches, conversion=None)
-            write_optimise(run.file("optimise.png"), outlines(shown, views[0]), whole, scene.control.shape, scene.name)
+            write_optimise(run.figure("optimise"), outlines(shown, views[0]), whole, scene.control.shape, scene.name)
             out = run.finish(rows, {"scene": scene.name, "surface": surface, "seconds": seconds})
         notes = (*scene.notes, *([f"The solver stopped early: {found.reason}."] if found.reason else []))
         notes += _stayed(found)

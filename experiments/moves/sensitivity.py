@@ -10,7 +10,7 @@ import tyro
 
 from slefejax import Scene, View, tessellation_factors
 from slefejax.experiments.moves.outlines import outlines
-from slefejax.experiments.options import LoadOptions, OutputOptions, PredictionOptions, ViewOptions, camera_record
+from slefejax.experiments.options import FigureOptions, LoadOptions, PredictionOptions, ViewOptions, camera_record
 from slefejax.experiments.report import Report
 from slefejax.experiments.shading import unclaimed
 from slefejax.experiments.store import Row, Run
@@ -33,7 +33,7 @@ class SensitivityOfScene:
     prediction: tyro.conf.OmitArgPrefixes[PredictionOptions] = field(default_factory=PredictionOptions)
     camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
     loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
-    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+    output: tyro.conf.OmitArgPrefixes[FigureOptions] = field(default_factory=FigureOptions)
 
     def run(self) -> Report:
         """Differentiate, list, draw."""
@@ -47,7 +47,7 @@ class SensitivityOfScene:
         _, radius = bounding_sphere(posed.points())
         rows = _rows(scene, found, radius)
         arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
-        with Run("sensitivity", arguments, self.output.out, {"process": os.getpid()}) as run:
+        with Run("sensitivity", arguments, self.output.out, {"process": os.getpid()}, self.output.pages(self)) as run:
             _draw(run, posed, view, found, rows, radius)
             table = np.column_stack([np.arange(len(found.places)), found.places, found.points])
             header = "point,x,y,z,triangles_per_unit_x,triangles_per_unit_y,triangles_per_unit_z"
@@ -109,4 +109,4 @@ def _draw(run: Run, scene: Scene, view: View, found: Sensitivity, rows: list[Row
     whose = np.arange(len(size)) if found.numbers is None else found.numbers.ravel()
     values = np.array([size[whose[corners]].mean() for corners in seen.corners])
     what = "vertex of the control mesh" if found.numbers is None else "control point"
-    write_sensitivity(run.file("sensitivity.png"), seen.polygons, values, rows, scene.name, what)
+    write_sensitivity(run.figure("sensitivity"), seen.polygons, values, rows, scene.name, what)

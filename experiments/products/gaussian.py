@@ -16,7 +16,7 @@ from slefejax.conversion.gaussian.products import check_spread
 from slefejax.conversion.gaussian.published import DEEPEST, Published, published
 from slefejax.errors import InputError
 from slefejax.experiments.checks.mirror import reflections
-from slefejax.experiments.options import LoadOptions, OutputOptions, ViewOptions, camera_record
+from slefejax.experiments.options import FigureOptions, LoadOptions, ViewOptions, camera_record
 from slefejax.experiments.products.feature import compared
 from slefejax.experiments.products.nested import NestedLook
 from slefejax.experiments.products.pictures import shaded, with_ellipsoids
@@ -110,7 +110,7 @@ class GaussianOfScene:
     """Error in pixels that certified levels keep."""
     camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
     loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
-    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+    output: tyro.conf.OmitArgPrefixes[FigureOptions] = field(default_factory=FigureOptions)
 
     def run(self) -> Report:
         """Measure, tabulate, draw."""
@@ -122,7 +122,7 @@ class GaussianOfScene:
         arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
         assert scene.conversion is not None
         inputs = {"scene": digest(scene.patches().tobytes()), "opengl": device.renderer}
-        with Run("gaussian", arguments, self.output.out, inputs) as run:
+        with Run("gaussian", arguments, self.output.out, inputs, self.output.pages(self)) as run:
             cases = {case.name(): case for case in self._cases(bench.condition)}
             with progress("measuring", len(cases)) as show:
                 kept = run.each("case", list(cases), lambda name: bench.row(run, cases[name]), show)
@@ -131,7 +131,7 @@ class GaussianOfScene:
             self._draw(run, bench, kept)
             feature = compared(tolerance=self.tolerance) if self.feature else []
             if feature:
-                write_feature(run.file("feature.png"), feature)
+                write_feature(run.figure("rounded_edges"), feature)
             record = {"scene": scene.name, "notes": found, "opengl": {"renderer": device.renderer}, "feature": feature}
             out = run.finish(rows, record)
         title = f"{scene.name}: Gaussian products, fixed levels as published and certified ones"
@@ -175,17 +175,19 @@ class GaussianOfScene:
         return found
 
     def _draw(self, run: Run, bench: _Bench, rows: list[Row]) -> None:
-        write_levels(run.file("levels.png"), [row for row in rows if row["orientation"] == OWN], bench.scene.name)
-        write_differences(run.file("differences.png"), rows, lambda row: run.file(f"error_{row['case']}.png"))
+        write_levels(
+            run.figure("levels_compared"), [row for row in rows if row["orientation"] == OWN], bench.scene.name
+        )
+        write_differences(run.figure("errors_over_anisotropy"), rows, lambda row: run.file(f"error_{row['case']}.png"))
         view, scene = bench.view, bench.scene
         assert scene.conversion is not None
         mesh = scene.conversion.mesh
         picture = shaded(scene.patches(), view, bench.seen())
-        write_surface(run.file("gaussians.png"), picture, with_ellipsoids(mesh, view), scene.name)
+        write_surface(run.figure("gaussians"), picture, with_ellipsoids(mesh, view), scene.name)
         stripes = list(reflections([scene]))
         if stripes:
             write_reflection_figure(
-                run.file("reflections.png"), Pictures(stripes, ["certified patches", "limit surface"], scene.name)
+                run.figure("reflections"), Pictures(stripes, ["certified patches", "limit surface"], scene.name)
             )
 
 
@@ -281,7 +283,9 @@ class _Bench:
         if (look.seen.patch >= 0).any():
             errors = pixels(look)
             found |= {name: errors[name] for name in ("max_error_px", "share_above_0.5")}
-        write_error_image(run.file(f"error_{case.name()}.png"), look.error)
+        title = f"{self.scene.name}: Gaussian products, {case.method}, covariances {case.orientation}"
+        title += f" with condition {case.condition:.3g}, at most level {case.level}" if case.level else ""
+        write_error_image(run.file(f"error_{case.name()}.png"), look.error, title)
         return found
 
     def _recursive(self, _: Run, case: _Case, mesh: Mesh) -> Row:

@@ -9,12 +9,11 @@ from typing import Any, Literal
 import jax
 import numpy as np
 import tyro
-from matplotlib.image import imread
 
 from slefejax import GregoryPatches, Scene, Session, View
 from slefejax.arguments import on_host
 from slefejax.errors import InputError
-from slefejax.experiments.options import LoadOptions, OutputOptions, PredictionOptions, ViewOptions, camera_record
+from slefejax.experiments.options import FigureOptions, LoadOptions, PredictionOptions, ViewOptions, camera_record
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.shading import FOR_CERTIFIED, unclaimed_numbers
 from slefejax.experiments.store import Row, Run, digest
@@ -26,7 +25,7 @@ from slefejax.experiments.studies.modes import COLUMNS, MODES, mode_row
 from slefejax.experiments.studies.study import Case, Study, shown
 from slefejax.experiments.studies.times import milliseconds
 from slefejax.experiments.tables import write_csv
-from slefejax.figures.error_image import write_error_image
+from slefejax.figures.error_image import read_error_image, write_error_image
 from slefejax.figures.studies.animate import write_film, write_timeline, write_work
 from slefejax.gpu import Device, Renderer, open_device
 from slefejax.predict.methods import Certified, Options, Slefe
@@ -57,7 +56,7 @@ class Animate:
     prediction: tyro.conf.OmitArgPrefixes[PredictionOptions] = field(default_factory=PredictionOptions)
     camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
     loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
-    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+    output: tyro.conf.OmitArgPrefixes[FigureOptions] = field(default_factory=FigureOptions)
 
     def run(self) -> Report:
         """Move, predict, draw, measure, frame by frame; then the modes, the figures and the film."""
@@ -71,7 +70,7 @@ class Animate:
         device = open_device()
         arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
         inputs = {"scene": digest(scene.patches().tobytes()), "opengl": device.renderer}
-        with Run("animate", arguments, self.output.out, inputs) as run:
+        with Run("animate", arguments, self.output.out, inputs, self.output.pages(self)) as run:
             film = _Film(scene, frames, _views(path, frames), session, self, run, device)
             turned = (normals, without_normal) if self.prediction.shading.degrees else ()
             study = Study(film.cases(), (size, pixels_or_none, *turned, *PARTS_OF_FRAMES), picture_name)
@@ -124,7 +123,11 @@ def _views(path: ViewPath, frames: Frames) -> list[View]:
 
 def picture_name(frame: int) -> str:
     """File name of the error image of a frame."""
-    return f"frame_{frame:04d}.png"
+    return f"error_frame_{frame:04d}.png"
+
+
+def _said(scene: str, time: float, triangles: int, largest: float) -> str:
+    return f"{scene}, time {time:.4g}: {triangles:,} triangles, largest error {largest:.2f} px"
 
 
 def _reached(scene: Scene, frames: Frames, loading: LoadOptions) -> Scene:
@@ -206,7 +209,9 @@ class _Film:
         beside.heard(own.factors)
         found = _Frame(own.patches, view, self._renderer, own.inner, own.outer, spacing, shown=beside, own=own)
         found.spent = {**own.milliseconds, "hand_over_ms": hand_over_ms, "render_ms": found.render_ms}
-        write_error_image(self.run.file(picture_name(frame)), found.error)
+        triangles, largest = size(found)["triangles"], float(np.nanmax(found.error, initial=0.0))
+        said = _said(self.scene.name, float(self.frames.times[frame]), triangles, largest)
+        write_error_image(self.run.file(picture_name(frame)), found.error, said)
         if before is not None:
             other = self._renderer.draw(view, *before.drawn_with(own))
             found.changed = change_of_levels(before, own) | moves_of_pixels(own.patches, view, found.seen, other)
@@ -232,15 +237,11 @@ class _Film:
     def draw(self, rows: list[Row], modes: list[Row]) -> None:
         """The figures and the film."""
         name, run = self.scene.name, self.run
-        if modes:
-            write_work(run.file("work.png"), modes, name, self.device.renderer)
         if not any(row["covered_pixels"] for row in rows):
             raise InputError("nothing of the scene is on the screen in any frame: turn the camera to it")
-        write_timeline(run.file("timeline.png"), rows, name, self.options.prediction.tolerance)
-        pictures = [imread(run.file(picture_name(row["frame"]))) for row in rows]
-        captions = [
-            f"{name}, time {row['time']:.4g}: {row['triangles']:,} triangles,"
-            f" largest error {row['max_error_px']:.2f} px"
-            for row in rows
-        ]
-        write_film(run.file("animation.gif"), pictures, captions, self.frames.seconds_a_frame)
+        write_timeline(run.figure("timeline"), rows, name, self.options.prediction.tolerance)
+        if modes:
+            write_work(run.figure("time_of_a_frame"), modes, name, self.device.renderer)
+        pictures = [read_error_image(run.file(picture_name(row["frame"]))) for row in rows]
+        titles = [_said(name, row["time"], row["triangles"], row["max_error_px"]) for row in rows]
+        write_film(run.file("animation.gif"), pictures, titles, self.frames.seconds_a_frame)

@@ -12,8 +12,8 @@ import tyro
 from slefejax import Factors, Scene, View, tessellation_factors
 from slefejax.errors import InputError, naming
 from slefejax.experiments.options import (
+    FigureOptions,
     LoadOptions,
-    OutputOptions,
     Scenes,
     ViewOptions,
     applicable,
@@ -70,7 +70,7 @@ class Certify:
     shading: tyro.conf.OmitArgPrefixes[ShadingOptions] = field(default_factory=ShadingOptions)
     camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
     loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
-    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+    output: tyro.conf.OmitArgPrefixes[FigureOptions] = field(default_factory=FigureOptions)
 
     def run(self) -> Report:
         """Predict by all methods, measure, draw."""
@@ -83,7 +83,7 @@ class Certify:
         device = open_device()
         arguments = {**asdict(self), "output": None, "camera": [camera_record(view) for view in views]}
         inputs = {"scenes": [digest(s.patches().tobytes()) for s in scenes], "opengl": device.renderer}
-        with Run("certify", arguments, self.output.out, inputs) as run:
+        with Run("certify", arguments, self.output.out, inputs, self.output.pages(self)) as run:
             looks = _Looks(scenes, views, self, run)
             found = Study(looks.cases(), self._measures(looks)).rows(run, "measuring")
             looks.release()
@@ -93,7 +93,7 @@ class Certify:
                 [run.file(picture_name(k, name)) for name in looks.methods[k] if name in SHOWN]
                 for k in range(len(scenes))
             ]
-            write_certify_figure(run.file("certify.png"), rows, summary, images, self.tolerance)
+            write_certify_figure(run.figure("certify"), rows, summary, images, self.tolerance)
             names = " ".join(scene.name for scene in scenes)
             rounding = [rounding_notes(*own, self.tolerance) for own in zip(scenes, views, strict=True)]
             beside = zip(looks.left_out, rounding, looks.unclaimed(found), strict=True)
@@ -116,7 +116,7 @@ class Certify:
 
 def picture_name(scene: int, method: str) -> str:
     """File name of an error image; scenes are counted from 0."""
-    return f"error_{scene}_{method}.png"
+    return f"error_scene_{scene}_{method}.png"
 
 
 class _Looks:
@@ -147,7 +147,8 @@ class _Looks:
             if number != self._number:
                 self._enter(number)
             found = self._shown.drawn(self._factors[name], name)
-            write_error_image(self._run.file(picture_name(number, name)), found.error)
+            title = f"{self._scenes[number].name}: {name}, asked for at most {self._options.tolerance:g} px"
+            write_error_image(self._run.file(picture_name(number, name)), found.error, title)
             return found
 
     def _enter(self, number: int) -> None:

@@ -16,8 +16,8 @@ from slefejax.arguments import no_such
 from slefejax.cameras import cameras_around
 from slefejax.errors import InputError, naming
 from slefejax.experiments.options import (
+    FigureOptions,
     LoadOptions,
-    OutputOptions,
     Scenes,
     applicable,
     check_count,
@@ -93,7 +93,7 @@ class ErrorTime:
     """Some of the rules instead of all, by the names in the table, such as "slefe m=3"; or my_module:MyMethod."""
     shading: tyro.conf.OmitArgPrefixes[ShadingOptions] = field(default_factory=ShadingOptions)
     loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
-    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+    output: tyro.conf.OmitArgPrefixes[FigureOptions] = field(default_factory=FigureOptions)
 
     def values(self) -> dict[str, Method]:
         """The rules by name. Raises InputError for a name that there is not, or that stands there twice."""
@@ -127,19 +127,21 @@ class ErrorTime:
             for scene, (own, _) in zip(scenes, rules, strict=True)
             for number, view in enumerate(cameras_around(scene, *parse_size(self.size), self.cameras, self.seed))
         ]
-        with Run("error-time", {**asdict(self), "output": None}, self.output.out, inputs) as run:
+        with Run(
+            "error-time", {**asdict(self), "output": None}, self.output.out, inputs, self.output.pages(self)
+        ) as run:
             with progress("measuring", sum(len(seen.rules) for seen in views)) as show:
                 looks = _Looks(views, self, run, show)
                 turned = (normals, without_normal) if self.shading.degrees else ()
                 found = Study(looks.cases(), (*MEASURES, *turned, looks.times)).rows(run, "measuring", show)
                 looks.release()
             rows = shown(found)
-            write_error_against_time(run.file("error_against_time.png"), rows, self.tolerance)
-            write_pixels_against_triangles(run.file("pixels_against_triangles.png"), rows, self.tolerance)
-            write_triangle_sizes(run.file("triangle_sizes.png"), rows, AREAS)
+            write_error_against_time(run.figure("error_against_time"), rows, self.tolerance)
+            write_pixels_against_triangles(run.figure("pixels_against_triangles"), rows, self.tolerance)
+            write_triangle_sizes(run.figure("triangle_sizes"), rows, AREAS)
             first = {row["method_name"]: row for row in rows[: len(views[0].rules)]}
             panels = [(first[name], run.file(picture_name(name))) for name in self.pictures() if name in first]
-            write_side_by_side(run.file("side_by_side.png"), panels, self.tolerance)
+            write_side_by_side(run.figure("side_by_side"), panels, self.tolerance)
             names = " ".join(scene.name for scene in scenes)
             opengl = {"renderer": device.renderer, "version": device.version}
             without = [_unclaimed(found, scene.name) for scene in scenes]
@@ -213,7 +215,8 @@ class _Looks:
                 self._predict()
             found = self._shown.drawn(self._factors[name], name)
             if number == 0 and name in self._options.pictures():
-                write_error_image(self._run.file(picture_name(name)), found.error)
+                title = f"{self._views[0].scene.name}: {name}, asked for at most {self._options.tolerance:g} px"
+                write_error_image(self._run.file(picture_name(name)), found.error, title)
             return found
 
     def _of(self, number: int) -> Shown:

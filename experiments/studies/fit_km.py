@@ -18,8 +18,8 @@ from slefejax.bounds.widths import screen_twists, screen_widths
 from slefejax.cameras import cameras_around
 from slefejax.errors import InputError, naming
 from slefejax.experiments.options import (
+    FigureOptions,
     LoadOptions,
-    OutputOptions,
     Scenes,
     check_count,
     notes_of,
@@ -80,14 +80,14 @@ class FitKm:
     temperature: float = TEMPERATURE
     """Of the smoothed pinball loss, in units of log(tau)."""
     loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
-    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+    output: tyro.conf.OmitArgPrefixes[FigureOptions] = field(default_factory=FigureOptions)
 
     def run(self) -> Report:
         """Measure, fit, compare, draw."""
         self._check()
         scenes = _named([self.loading.bezier(name, _WHY) for name in self.scenes])
         inputs = {"scenes": [digest(scene.patches().tobytes()) for scene in scenes]}
-        with Run("fit-km", {**asdict(self), "output": None}, self.output.out, inputs) as run:
+        with Run("fit-km", {**asdict(self), "output": None}, self.output.out, inputs, self.output.pages(self)) as run:
             found = self._measure(run, scenes)
             together = [("all", Samples.joined([m.samples for m in found]))] if len(found) > 1 else []
             sets = [*((m.name, m.samples) for m in found), *together]
@@ -103,7 +103,7 @@ class FitKm:
             best = self._m
             points = [(m.name, m.samples.terms[slefe_term(best)], m.samples) for m in found]
             fits = [row for row in rows if row["scene"] == sets[-1][0]]
-            write_fit_km(run.file("fit_km.png"), points, fits, curves, models, best, self.target)
+            write_fit_km(run.figure("fit_km"), points, fits, curves, models, best, self.target)
             _write_samples(run, found)
             names = " ".join(scene.name for scene in scenes)
             more = {"curves": curves, "models": models, "worst": worst}

@@ -13,8 +13,8 @@ import tyro
 from slefejax import Factors, GregoryPatches, Scene, View, pack
 from slefejax.errors import InputError
 from slefejax.experiments.options import (
+    FigureOptions,
     LoadOptions,
-    OutputOptions,
     PredictionOptions,
     ViewOptions,
     camera_record,
@@ -59,7 +59,7 @@ class Minimality:
     prediction: tyro.conf.OmitArgPrefixes[PredictionOptions] = field(default_factory=PredictionOptions)
     camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
     loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
-    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+    output: tyro.conf.OmitArgPrefixes[FigureOptions] = field(default_factory=FigureOptions)
 
     def run(self) -> Report:
         """Predict, render at every scale, measure, draw the pictures."""
@@ -75,7 +75,7 @@ class Minimality:
         check_levels(largest)
         arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
         inputs = {"scene": digest(scene.patches().tobytes()), "opengl": device.renderer}
-        with Run("minimality", arguments, self.output.out, inputs) as run:
+        with Run("minimality", arguments, self.output.out, inputs, self.output.pages(self)) as run:
             renderer = Renderer(scene.patches(), device, **shaded.drawn)
             shown = Shown(scene, view, self.prediction.tolerance, shaded=shaded)
             shown.heard(factors)
@@ -160,7 +160,9 @@ class _Sweep:
             if max(inner.max(), outer.max()) <= MOST_LEVEL:
                 found.estimate = Look(patches, view, self.renderer, inner, outer)
         _ = found.render_ms
-        write_error_image(self.run.file(error_name(scale)), found.error)
+        name, asked = self.shown.scene.name, self.options.prediction.asked
+        title = f"{name}: factors for {asked} ({self.options.prediction.method}), times {scale:g}"
+        write_error_image(self.run.file(error_name(scale)), found.error, title)
         return found
 
     def draw_pictures(self, rows: list[Row]) -> None:
@@ -169,12 +171,10 @@ class _Sweep:
         patch = self.renderer.draw(self.shown.view, inner, outer).patch
         painted = np.where(patch >= 0, np.append(np.asarray(self.factors.factor, float), 0.0)[patch], np.nan)
         labels = _labels(patch, np.asarray(self.factors.factor, float))
-        write_factor_map(self.run.file("factors.png"), painted, labels)
         images = [self.run.file(error_name(row["scale"])) for row in rows]
-        asked = self.options.prediction.asked
-        write_minimality_figure(
-            self.run.file("minimality.png"), rows, images, painted, labels, self.shown.scene.name, asked
-        )
+        shown = (painted, labels, self.shown.scene.name, self.options.prediction.asked)
+        write_minimality_figure(self.run.figure("minimality"), rows, images, *shown)
+        write_factor_map(self.run.figure("factors"), *shown)
 
 
 def error_name(scale: float) -> str:

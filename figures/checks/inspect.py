@@ -3,28 +3,39 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
 
 from slefejax.figures.error_image import error_colours
-from slefejax.figures.style import BACKGROUND, ERROR_CLASSES, FACTOR_MAP, SETTINGS, new_figure, occupied, save
+from slefejax.figures.page import Page
+from slefejax.figures.style import (
+    BACKGROUND,
+    COLOURS,
+    FACTOR_MAP,
+    LINES,
+    NET,
+    PLAIN,
+    bare,
+    drawing,
+    error_legend,
+    legend_below,
+    occupied,
+)
 
-# Colours for the colour-blind [OI]
 KIND_COLOURS = {
-    "regular": "#d9d9d9",
-    "extraordinary": "#56b4e9",
-    "boundary": "#009e73",
-    "crease": "#e69f00",
-    "triangle": "#cc79a7",
-    "spline": "#d9d9d9",
-    "bezier": "#d9d9d9",
+    "regular": PLAIN,
+    "extraordinary": COLOURS[5],
+    "boundary": COLOURS[2],
+    "crease": COLOURS[4],
+    "triangle": COLOURS[3],
+    "spline": PLAIN,
+    "bezier": PLAIN,
 }
+_BEYOND = 1.0  # widths and heights of the picture that the control mesh is shown beyond its edges, at most
 
 
 @dataclass(frozen=True)
@@ -45,42 +56,47 @@ class Panels:
     error: np.ndarray
 
 
-def write_inspect_figure(path: Path, panels: Panels, title: str, tolerance: float) -> None:
+def write_inspect_figure(page: Page, panels: Panels, title: str, tolerance: float) -> None:
     """Draw the four pictures; ``tolerance`` is the error in pixels that the factors are for."""
-    box = _with_outlines(occupied(panels.kind >= 0), panels)
-    with mpl.rc_context(SETTINGS):
-        figure = new_figure(13, 10)
-        grid: Any = figure.subplots(2, 2)
-        _control_mesh(grid[0, 0], panels, box)
-        _kinds(grid[0, 1], panels, box)
-        _factors(grid[1, 0], panels, box, tolerance)
-        _errors(grid[1, 1], panels, box)
-        figure.suptitle(title, fontsize=14)
-        save(figure, path)
+    box = occupied(panels.kind >= 0)
+    net = _around(panels)
+    down, across = (own.stop - own.start for own in box)
+    tall = max(down / across, (net[1][1] - net[1][0]) / (net[0][1] - net[0][0]))
+    with drawing(page, 13, 2 * (1.0 + 6.0 * min(1.2, max(0.45, tall))), title) as figure:
+        parts: Any = figure.subfigures(2, 2)
+        _control_mesh(parts[0, 0], panels, net)
+        _kinds(parts[0, 1], panels, box)
+        _factors(parts[1, 0], panels, box, tolerance)
+        _errors(parts[1, 1], panels, box)
 
 
-def _with_outlines(box: Any, panels: Panels) -> Any:
-    """Rows and columns of what is shown, the control mesh included as far as it is on the screen."""
-    if not panels.outlines:
-        return box
-    points = np.concatenate(panels.outlines)
-    low, high = np.floor(points.min(axis=0)).astype(int), np.ceil(points.max(axis=0)).astype(int)
+def _around(panels: Panels) -> tuple[tuple[float, float], tuple[float, float]]:
+    """From where to where the control mesh is, along x and along y, in pixels: all of it, but for what is far away."""
     height, width = panels.kind.shape
-    rows = slice(max(0, min(box[0].start, low[1])), min(height, max(box[0].stop, high[1])))
-    return rows, slice(max(0, min(box[1].start, low[0])), min(width, max(box[1].stop, high[0])))
+    points = np.concatenate([*panels.outlines, np.zeros((0, 2))])
+    if not len(points):
+        return (0.0, float(width)), (0.0, float(height))
+    size = np.array([width, height], float)
+    low, high = (
+        np.clip(own, -_BEYOND * size, (1 + _BEYOND) * size) for own in (points.min(axis=0), points.max(axis=0))
+    )
+    edge = 0.02 * max(1.0, *(high - low))
+    (left, bottom), (right, top) = (low - edge).tolist(), (high + edge).tolist()
+    return (left, right), (bottom, top)
 
 
-def _control_mesh(axes: Any, panels: Panels, box: Any) -> None:
+def _control_mesh(part: Any, panels: Panels, net: Any) -> None:
+    axes = part.subplots()
     thin = 0.8 if len(panels.outlines) < 2000 else 0.3
-    faces = PolyCollection(panels.outlines, facecolors="#f4f1ea", edgecolors="#303030", linewidths=thin)
-    axes.add_collection(faces)
-    axes.set_xlim(box[1].start, box[1].stop)
-    axes.set_ylim(box[0].start, box[0].stop)
+    axes.add_collection(PolyCollection(panels.outlines, facecolors=NET, edgecolors=LINES, linewidths=thin))
+    axes.set_xlim(net[0])
+    axes.set_ylim(net[1])
     axes.set_aspect("equal")
-    _bare(axes, "control mesh")
+    bare(axes, "control mesh")
 
 
-def _kinds(axes: Any, panels: Panels, box: Any) -> None:
+def _kinds(part: Any, panels: Panels, box: Any) -> None:
+    axes = part.subplots()
     colours = [BACKGROUND, *(KIND_COLOURS[kind] for kind in panels.kinds)]
     image = panels.kind[box] + 1
     axes.imshow(
@@ -88,9 +104,8 @@ def _kinds(axes: Any, panels: Panels, box: Any) -> None:
     )
     _edges(axes, panels, box)
     present = [kind for number, kind in enumerate(panels.kinds) if np.any(panels.kind == number)]
-    handles = [Patch(facecolor=KIND_COLOURS[kind], edgecolor="0.5", label=kind) for kind in present]
-    axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=3, frameon=False)
-    _bare(axes, "patches by kind")
+    legend_below(part, [Patch(facecolor=KIND_COLOURS[kind], edgecolor=LINES, label=kind) for kind in present])
+    bare(axes, "patches by kind")
 
 
 def _edges(axes: Any, panels: Panels, box: Any) -> None:
@@ -104,24 +119,15 @@ def _edges(axes: Any, panels: Panels, box: Any) -> None:
     axes.imshow(layer, origin="lower", interpolation="nearest")
 
 
-def _factors(axes: Any, panels: Panels, box: Any, tolerance: float) -> None:
+def _factors(part: Any, panels: Panels, box: Any, tolerance: float) -> None:
+    axes = part.subplots()
     picture = axes.imshow(panels.factor[box], origin="lower", cmap=FACTOR_MAP, interpolation="nearest")
-    bar = axes.figure.colorbar(picture, ax=axes, shrink=0.8)
-    bar.set_label("factor: pieces along each side")
-    _bare(axes, f"certified tessellation factors for {tolerance:g} px")
+    part.colorbar(picture, ax=axes, shrink=0.8, label="factor: pieces along each side")
+    bare(axes, f"certified tessellation factors for {tolerance:g} px")
 
 
-def _errors(axes: Any, panels: Panels, box: Any) -> None:
+def _errors(part: Any, panels: Panels, box: Any) -> None:
+    axes = part.subplots()
     axes.imshow(error_colours(panels.error)[::-1][box], origin="lower", interpolation="nearest")
-    handles = [Patch(facecolor=colour, label=name) for _, colour, name in ERROR_CLASSES]
-    axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=4, frameon=False)
-    _bare(axes, f"error of every pixel as drawn, at most {np.nanmax(panels.error):.2g} px")
-
-
-def _bare(axes: Any, title: str) -> None:
-    axes.set_title(title)
-    axes.set_xticks([])
-    axes.set_yticks([])
-    axes.grid(False)
-    for spine in axes.spines.values():
-        spine.set_visible(False)
+    error_legend(part)
+    bare(axes, f"error of every pixel as drawn, at most {np.nanmax(panels.error):.2g} px")

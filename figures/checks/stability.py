@@ -2,49 +2,49 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from slefejax.figures.style import SETTINGS, new_figure, save
+from slefejax.figures.fitting import plain
+from slefejax.figures.page import Page
+from slefejax.figures.style import BACKGROUND, COLOURS, FAINT, HAZE, INK, QUIET, drawing, hide_rest, legend_below
 
 Rows = list[dict[str, Any]]
 _STYLES: dict[str, dict[str, Any]] = {
-    "single": {"color": "#d55e00", "marker": "o"},
-    "double": {"color": "#0072b2", "marker": "s"},
+    "single": {"color": COLOURS[1], "marker": "o"},
+    "double": {"color": COLOURS[0], "marker": "s"},
 }
 _LEAST, _MOST = 1e-17, 10.0
 _ZERO = 1e-18  # where an error of exactly 0 is marked, below the axis of the others
 _ZERO_SIZES = {"single": 10, "double": 5}  # one lies within the other where both are 0
-_COLUMNS = 4
+_COLUMNS = 3
+_TICKS = 5  # values that are written, at most
 
 
-def write_stability_figure(path: Path, rows: Rows) -> None:
+def write_stability_figure(page: Page, rows: Rows) -> None:
     """Error against value for every family; violations, and what is not finite or refused, are marked."""
     names = list(dict.fromkeys(row["family"] for row in rows))
     count = -(-len(names) // _COLUMNS)
-    with mpl.rc_context(SETTINGS):
-        figure = new_figure(16, 1.0 + 3.1 * count)
-        panels = figure.subplots(count, _COLUMNS, squeeze=False).ravel()
-        for axes, name in zip(panels, names, strict=False):
+    title = "Relative errors of factors in hard cases: each family of cases becomes harder from left to right"
+    with drawing(page, 13, 1.4 + 2.7 * count, title) as figure:
+        panels = figure.subplots(count, _COLUMNS, squeeze=False)
+        for axes, name in zip(panels.ravel(), names, strict=False):
             _panel(axes, name, [row for row in rows if row["family"] == name])
-        for axes in panels[len(names) :]:
-            axes.set_axis_off()
-        handles, labels = panels[0].get_legend_handles_labels()
-        marks = {
-            "exactly 0": Line2D([], [], color="0.3", marker="o", markerfacecolor="white", linestyle=""),
-            "leaves its enclosure, misses its certificate, refused or not finite": Line2D(
-                [], [], color="black", marker="X", linestyle="", markersize=10
-            ),
-            "certified factor's excess": Line2D([], [], color="black", linestyle=":"),
-            "1 %": Line2D([], [], color="0.7", linewidth=1),
-        }
-        figure.legend([*handles, *marks.values()], [*labels, *marks], loc="outside upper center", ncols=6)
-        save(figure, path)
+        for axes in panels[:, 0]:
+            axes.set_ylabel("relative error")
+        hide_rest(panels, len(names))
+        wrong = "leaves its enclosure, misses its certificate, refused or not finite"
+        precisions = [Line2D([], [], label=f"{name} precision", **style) for name, style in _STYLES.items()]
+        marks = [
+            Line2D([], [], color=QUIET, marker="o", mfc=BACKGROUND, ls="", label="exactly 0"),
+            Line2D([], [], color=COLOURS[1], ls=":", label="by how much the certified factor is larger in single"),
+            Line2D([], [], color=FAINT, lw=1.5, label="1 %"),
+            Line2D([], [], color=INK, marker="X", ls="", ms=10, label=wrong),
+        ]
+        legend_below(figure, [*precisions, *marks])
 
 
 def _panel(axes: Axes, name: str, rows: Rows) -> None:
@@ -59,7 +59,7 @@ def _panel(axes: Axes, name: str, rows: Rows) -> None:
         zero = np.flatnonzero(exact == 0)
         size = _ZERO_SIZES[precision]
         level = np.full(len(zero), _ZERO)
-        axes.plot(np.take(at, zero), level, linestyle="", markerfacecolor="white", markersize=size, **style)
+        axes.plot(np.take(at, zero), level, linestyle="", markerfacecolor=BACKGROUND, markersize=size, **style)
         excess = np.clip(np.array([row["certified_over_double"] for row in own]) - 1.0, _LEAST, _MOST)
         if precision == "single":
             axes.plot(at, np.where(excess > _LEAST, excess, np.nan), linestyle=":", color=style["color"])
@@ -69,15 +69,15 @@ def _panel(axes: Axes, name: str, rows: Rows) -> None:
             if row["containment_violations"] or row["certificate_violations"] or row["nonfinite"] or row["refused"]
         ]
         shown = np.where(exact == 0, _ZERO, np.where(np.isnan(exact), _MOST, error))
-        axes.plot([at[k] for k in bad], shown[bad], "X", color="black", markersize=10)
-    axes.axhline(0.01, color="0.7", linewidth=1)
+        axes.plot([at[k] for k in bad], shown[bad], "X", color=INK, markersize=10)
+    axes.axhline(0.01, color=FAINT, linewidth=1.5)
     axes.set_yscale("log")
     axes.set_ylim(_ZERO / 4, _MOST * 3)
-    axes.axhspan(_ZERO / 4, _LEAST / 2, color="0.93", zorder=0)
+    axes.axhspan(_ZERO / 4, _LEAST / 2, color=HAZE, zorder=0)
     powers = range(-16, 1, 4)
     axes.set_yticks([_ZERO, *(10.0**k for k in powers)], ["0", *(f"$10^{{{k}}}$" for k in powers)])
     axes.minorticks_off()
-    axes.set_xticks(range(len(values)), [f"{value:.8g}" for value in values], rotation=40, fontsize=9)
+    written = range(0, len(values), -(-len(values) // _TICKS))
+    axes.set_xticks(range(len(values)), [plain(value) if k in written else "" for k, value in enumerate(values)])
     axes.set_title(name)
-    axes.set_xlabel(rows[0]["parameter"], fontsize=10)
-    axes.set_ylabel("relative error")
+    axes.set_xlabel(rows[0]["parameter"])

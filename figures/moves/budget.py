@@ -2,39 +2,35 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 
-from slefejax.figures.style import SETTINGS, new_figure, save
+from slefejax.figures.page import Page
+from slefejax.figures.style import COLOURS, beside, drawing, legend_below
 
 
 def write_budget(
-    path: Path, rows: list[dict[str, Any]], curve: tuple[np.ndarray, np.ndarray], by: str, scene: str
+    page: Page, rows: list[dict[str, Any]], curve: tuple[np.ndarray, np.ndarray], by: str, scene: str
 ) -> None:
     """The curve of real numbers of triangles, and what was found for every budget.
 
     rows : a budget each;  curve : tolerances in pixels (distances in scene units) and triangles without rounding
     """
     name, label = ("tolerance_px", "tolerance (px)") if by == "tolerance" else ("distance", "camera distance (scene)")
-    with mpl.rc_context(SETTINGS):
-        figure = new_figure(8.5, 5.6)
+    with drawing(page, 10, 6, f"{scene}: the {by} that meets each number of triangles") as figure:
         axes = figure.subplots()
-        axes.plot(*curve, color="#56b4e9", lw=2, label="2 Σ τ², without rounding")
-        axes.plot(
-            [row[name] for row in rows], [row["triangles"] for row in rows], "o", color="#009e73", ms=8, label="drawn"
-        )
+        axes.plot(*curve, color=COLOURS[5], lw=2, label="2 Σ τ², without rounding")
+        found, drawn = [row[name] for row in rows], [row["triangles"] for row in rows]
+        axes.plot(found, drawn, "o", color=COLOURS[2], ms=8, label="triangles drawn, and their largest error")
         for row in rows:
-            axes.axhline(row["budget"], color="#d55e00", lw=1, ls="--")
-            text = f"{row['triangles']:,} at {row[name]:.4g}, largest error {row['sup_error_px']:.3g} px"
-            axes.annotate(text, (row[name], row["triangles"]), (8, 6), textcoords="offset points", fontsize=10)
-        axes.plot([], [], color="#d55e00", lw=1, ls="--", label="budget")
+            axes.axhline(row["budget"], color=COLOURS[1], lw=1, ls="--")
+            text = f"{row['triangles']:,} at {row[name]:.4g}: {row['sup_error_px']:.3g} px"
+            beside(axes, (row[name], row["triangles"]), text)
+        axes.plot([], [], color=COLOURS[1], lw=1, ls="--", label="budget")
         axes.set_xscale("log")
         axes.set_yscale("log")
+        axes.margins(0.12)
         axes.set_xlabel(label)
         axes.set_ylabel("triangles")
-        axes.set_title(f"{scene}: what meets a number of triangles")
-        axes.legend(fontsize=10, loc="lower left")
-        save(figure, path)
+        legend_below(figure)

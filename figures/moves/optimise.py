@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import TwoSlopeNorm
 
-from slefejax.figures.style import SETTINGS, new_figure, save
+from slefejax.figures.page import Page
+from slefejax.figures.style import COLOURS, DIVERGING_MAP, INK, LINES, drawing, legend_below
 
-_STYLES = {"optimised for": ("#0072b2", "o"), "held out": ("#d55e00", "^")}
+_STYLES = {"optimised for": (COLOURS[0], "o"), "held out": (COLOURS[1], "^")}
 
 
 def write_optimise(
-    path: Path,
+    page: Page,
     seen: tuple[list[np.ndarray], list[np.ndarray]],
     counts: dict[str, tuple[np.ndarray, np.ndarray]],
     shape: tuple[int, ...],
@@ -28,36 +27,35 @@ def write_optimise(
     counts : by set of views, triangles ``(patches,)`` before and after, summed over the views
     shape  : of the control points, ``(patches, du+1, dv+1, 3)``
     """
-    with mpl.rc_context(SETTINGS):
-        figure = new_figure(14, 6)
-        left, right = figure.subplots(1, 2, width_ratios=[1.35, 1])
+    title = f"{scene}: inner control points moved along gradients, and how many triangles that saves"
+    with drawing(page, 14, 6.6, title) as figure:
+        left, right = figure.subfigures(1, 2, width_ratios=[1.25, 1])
         _plot_model(left, seen, counts["held out"], shape)
         _plot_patches(right, counts)
-        figure.suptitle(f"{scene}: inner control points moved along gradients")
-        save(figure, path)
 
 
-def _plot_model(axes: Any, seen: Any, counts: tuple[np.ndarray, np.ndarray], shape: tuple[int, ...]) -> None:
+def _plot_model(part: Any, seen: Any, counts: tuple[np.ndarray, np.ndarray], shape: tuple[int, ...]) -> None:
+    axes = part.subplots()
     before, after = counts
     share = 100.0 * (after - before) / np.maximum(before, 1.0)
     polygons, corners = seen
     values = share[[own[0] // (shape[1] * shape[2]) for own in corners]]
     limit = max(0.1, float(np.abs(share).max()))
-    faces = PolyCollection(
-        polygons, cmap="RdBu_r", norm=TwoSlopeNorm(0.0, -limit, limit), edgecolors="#303030", linewidths=0.25
-    )
+    norm = TwoSlopeNorm(0.0, -limit, limit)
+    faces = PolyCollection(polygons, cmap=DIVERGING_MAP, norm=norm, edgecolors=LINES, linewidths=0.25)
     faces.set_array(values)
     axes.add_collection(faces)
     axes.autoscale_view()
     axes.set_aspect("equal")
-    axes.grid(False)
+    axes.grid(visible=False)
     axes.set_xlabel("x (pixels)")
     axes.set_ylabel("y (pixels)")
     axes.set_title("moved control nets")
-    axes.figure.colorbar(faces, ax=axes, shrink=0.8, label="change of triangles in views held out (%)")
+    part.colorbar(faces, ax=axes, shrink=0.8, label="change of triangles in views held out (%)")
 
 
-def _plot_patches(axes: Any, counts: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
+def _plot_patches(part: Any, counts: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
+    axes = part.subplots()
     for name, (before, after) in counts.items():
         colour, mark = _STYLES[name]
         drawn = before > 0
@@ -65,10 +63,9 @@ def _plot_patches(axes: Any, counts: dict[str, tuple[np.ndarray, np.ndarray]]) -
         label = f"views {name}: {fewer:.1f} % fewer in all"
         change = 100.0 * (after[drawn] / before[drawn] - 1.0)
         axes.plot(before[drawn], change, mark, color=colour, ms=6, alpha=0.8, label=label)
-    axes.axhline(0.0, color="black", lw=0.8)
+    axes.axhline(0.0, color=INK, lw=0.8)
     axes.set_xscale("log")
     axes.set_xlabel("triangles of a patch before, all views of a kind")
-    axes.set_ylabel("change (%)")
+    axes.set_ylabel("change of its triangles (%)")
     axes.set_title("a mark is a patch")
-    axes.margins(y=0.15)
-    axes.legend(fontsize=10)
+    legend_below(part)

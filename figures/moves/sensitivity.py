@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import LogNorm
 
-from slefejax.figures.style import SETTINGS, new_figure, save
+from slefejax.figures.fitting import log_ticks
+from slefejax.figures.page import Page
+from slefejax.figures.style import COLOURS, FACTOR_MAP, HATCHES, INK, LINES, drawing, legend_below
 
-_COLOURS = ("#009e73", "#0072b2", "#56b4e9", "#e69f00")  # of kinds, in the order of the table
 _DECADES = 2.0  # that are told apart below the largest value
 _BARS = 8  # of a kind
+_LONGEST = 28  # letters of a bone's or a key's name
 
 
 def write_sensitivity(
-    path: Path, polygons: list[np.ndarray], values: np.ndarray, rows: list[dict[str, Any]], scene: str, what: str
+    page: Page, polygons: list[np.ndarray], values: np.ndarray, rows: list[dict[str, Any]], scene: str, what: str
 ) -> None:
     """The mesh on the left, bars on the right.
 
@@ -27,19 +27,17 @@ def write_sensitivity(
     """
     bars = [row for row in rows if row["name"]]
     kinds = list(dict.fromkeys((row["kind"], row["change"]) for row in bars))
-    with mpl.rc_context(SETTINGS):
-        figure = new_figure(14, max(6.0, 1.9 * len(kinds) + 1.5))
-        left, right = figure.subplots(1, 2, width_ratios=[1.35, 1])
+    with drawing(page, 14, max(6.0, 2.2 * len(kinds) + 1.5), f"{scene}: what costs triangles when it moves") as figure:
+        left, right = figure.subfigures(1, 2, width_ratios=[1.35, 1])
         _plot_mesh(left, polygons, values, what)
         _plot_bars(right, bars, kinds)
-        figure.suptitle(f"{scene}: what costs triangles")
-        save(figure, path)
 
 
-def _plot_mesh(axes: Any, polygons: list[np.ndarray], values: np.ndarray, what: str) -> None:
+def _plot_mesh(part: Any, polygons: list[np.ndarray], values: np.ndarray, what: str) -> None:
+    axes = part.subplots()
     largest = float(values.max(initial=0.0)) or 1.0
     scale = LogNorm(largest * 10.0**-_DECADES, largest, clip=True)
-    faces = PolyCollection(polygons, cmap="viridis", norm=scale, edgecolors="#303030", linewidths=0.25)
+    faces = PolyCollection(polygons, cmap=FACTOR_MAP, norm=scale, edgecolors=LINES, linewidths=0.25)
     faces.set_array(values)
     axes.add_collection(faces)
     axes.autoscale_view()
@@ -47,25 +45,26 @@ def _plot_mesh(axes: Any, polygons: list[np.ndarray], values: np.ndarray, what: 
     axes.set_title(f"triangles that moving a {what} by 1 % of the scene can cost")
     axes.set_xlabel("x (pixels)")
     axes.set_ylabel("y (pixels)")
-    axes.grid(False)
-    axes.figure.colorbar(
-        faces, ax=axes, shrink=0.8, label="triangles (mean of a face's corners; darkest: that or less)"
-    )
+    axes.grid(visible=False)
+    bar = part.colorbar(faces, ax=axes, shrink=0.8, label="triangles (mean of a face's corners; darkest: that or less)")
+    log_ticks(bar.ax.yaxis, largest * 10.0**-_DECADES, largest)
 
 
-def _plot_bars(axes: Any, bars: list[dict[str, Any]], kinds: list[tuple[str, str]]) -> None:
+def _plot_bars(part: Any, bars: list[dict[str, Any]], kinds: list[tuple[str, str]]) -> None:
+    axes = part.subplots()
     at, ticks, names = 0.0, [], []
-    for (kind, change), colour in zip(kinds, _COLOURS, strict=False):
+    for number, (kind, change) in enumerate(kinds):
         own = [row for row in bars if (row["kind"], row["change"]) == (kind, change)][:_BARS]
         places = at + np.arange(len(own))
-        axes.barh(places, [row["triangles_more"] for row in own], color=colour, label=f"{kind}: {change}")
+        look = {"color": COLOURS[number % len(COLOURS)], "hatch": HATCHES[number % len(HATCHES)], "edgecolor": LINES}
+        axes.barh(places, [row["triangles_more"] for row in own], label=f"{kind}: {change}", lw=0.5, **look)
         ticks += places.tolist()
-        names += [row["name"] for row in own]
+        names += [row["name"] if len(row["name"]) <= _LONGEST else f"{row['name'][:_LONGEST]}…" for row in own]
         at += len(own) + 1.5
-    axes.set_yticks(ticks, names, fontsize=10)
+    axes.set_yticks(ticks, names)
     axes.invert_yaxis()
     axes.set_xscale("symlog", linthresh=1.0)
-    axes.axvline(0.0, color="black", lw=0.8)
+    axes.axvline(0.0, color=INK, lw=0.8)
     axes.set_xlabel("triangles more (first order)")
     axes.set_title("the largest of each kind")
-    axes.legend(fontsize=10, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2, frameon=False)
+    legend_below(part)

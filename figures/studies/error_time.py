@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
-from slefejax.figures.style import METHOD_STYLES, SETTINGS, new_figure, save
+from slefejax.figures.page import Page
+from slefejax.figures.style import BACKGROUND, INK, ORDERED_MAP, beside, drawing, legend_below, level, method_style
 
 Rows = list[dict[str, Any]]
 
@@ -25,27 +24,23 @@ def _names(rows: Rows) -> list[str]:
 
 
 def _scatter(axes: Axes, rows: Rows, place: Any) -> None:
-    """A mark a rule; its family in the legend, its number beside it, turn by turn above and below."""
+    """A mark a rule; its family in the legend, its number beside it."""
     families: set[str] = set()
-    for turn, name in enumerate(_names(rows)):
+    for name in _names(rows):
         family, _, number = name.partition(" ")
-        style = METHOD_STYLES.get(family, {"color": "0.4", "marker": "o"})
+        style = method_style(family)
         x, y = place(name)
         axes.plot([x], [y], ls="none", ms=9, label=None if family in families else family, **style)
         families.add(family)
-        offset = (5, 5) if turn % 2 else (5, -13)
-        axes.annotate(number, (x, y), xytext=offset, textcoords="offset points", fontsize=9)
-    axes.legend(fontsize=10)
+        beside(axes, (x, y), number)
     axes.set_xscale("log")
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.margins(0.12)
 
 
-def write_error_against_time(path: Path, rows: Rows, tolerance: float) -> None:
+def write_error_against_time(page: Page, rows: Rows, tolerance: float) -> None:
     """Largest error over the domain against predict plus render time; medians over the views."""
-    with mpl.rc_context(SETTINGS):
-        figure = new_figure(9, 6)
+    title = f"{_scenes(rows)}: error against run time; lower left is better, on or below the line is safe"
+    with drawing(page, 10, 6.4, title) as figure:
         axes = figure.subplots()
 
         def at(name: str) -> tuple[float, float]:
@@ -53,20 +48,17 @@ def write_error_against_time(path: Path, rows: Rows, tolerance: float) -> None:
             return predict + render, error
 
         _scatter(axes, rows, at)
-        axes.axhline(tolerance, color="black", lw=1, ls="--")
-        place = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
-        axes.annotate(f"asked for: {tolerance:g} px", (0.99, tolerance), **place)
+        level(axes, tolerance, f"asked for: {tolerance:g} px")
         axes.set_yscale("log")
         axes.set_xlabel("time to predict and to draw (ms)")
         axes.set_ylabel("largest error over the visible domain (px)")
-        axes.set_title("error against run time: lower left is better, below the line is safe")
-        save(figure, path)
+        legend_below(figure)
 
 
-def write_pixels_against_triangles(path: Path, rows: Rows, tolerance: float) -> None:
+def write_pixels_against_triangles(page: Page, rows: Rows, tolerance: float) -> None:
     """Share of bad pixels against triangles, in units of what minimal factors need."""
-    with mpl.rc_context(SETTINGS):
-        figure = new_figure(9, 6)
+    title = f"{_scenes(rows)}: bad pixels against triangles; lower left is better"
+    with drawing(page, 10, 6.4, title) as figure:
         axes = figure.subplots()
 
         def place(name: str) -> tuple[float, float]:
@@ -75,31 +67,35 @@ def write_pixels_against_triangles(path: Path, rows: Rows, tolerance: float) -> 
             return cost, 100 * _medians(rows, name, "share_above_0.5")[0]
 
         _scatter(axes, rows, place)
-        axes.axvline(1.0, color="black", lw=1, ls="--")
+        axes.axvline(1.0, color=INK, lw=1.2, ls="--", label=f"minimal factors for {tolerance:g} px")
         axes.set_yscale("symlog", linthresh=0.01)
-        axes.set_ylim(bottom=-0.002)
+        axes.set_ylim(-0.004, 200)
         ticks = [0, 0.01, 0.1, 1, 10, 100]
         axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
         axes.set_xlabel(f"triangles over those of minimal factors for {tolerance:g} px")
         axes.set_ylabel("pixels off by more than 0.5 px (%)")
-        axes.set_title("bad pixels against triangles: lower left is better")
-        save(figure, path)
+        legend_below(figure)
 
 
-def write_triangle_sizes(path: Path, rows: Rows, areas: tuple[float, ...]) -> None:
+def write_triangle_sizes(page: Page, rows: Rows, areas: tuple[float, ...]) -> None:
     """Shares of triangles by their area on the screen, a bar a rule; medians over the views."""
     names = _names(rows)
-    with mpl.rc_context(SETTINGS):
-        figure = new_figure(10, 0.42 * len(names) + 1.8)
+    with drawing(
+        page, 11, 0.45 * len(names) + 1.8, f"{_scenes(rows)}: how large triangles are on the screen"
+    ) as figure:
         axes = figure.subplots()
         edges = np.array([[0.0, *_medians(rows, n, *(f"share_area_below_{a:g}" for a in areas)), 1.0] for n in names])
         labels = [f"< {areas[0]:g} px²", *(f"< {a:g} px²" for a in areas[1:]), "larger"]
-        colours = mpl.colormaps["cividis"](np.linspace(0.0, 1.0, len(labels)))
+        colours = mpl.colormaps[ORDERED_MAP](np.linspace(0.0, 1.0, len(labels)))
         for k, (label, colour) in enumerate(zip(labels, colours, strict=True)):
-            axes.barh(names, 100 * (edges[:, k + 1] - edges[:, k]), left=100 * edges[:, k], color=colour, label=label)
+            look = {"color": colour, "label": label, "edgecolor": BACKGROUND}
+            axes.barh(names, 100 * (edges[:, k + 1] - edges[:, k]), left=100 * edges[:, k], **look)
         axes.invert_yaxis()
+        axes.set_xlim(0, 100)
         axes.set_xlabel("share of the triangles (%)")
-        axes.set_title("how large triangles are on the screen")
         axes.grid(visible=False)
-        figure.legend(loc="outside lower center", ncols=len(labels), frameon=False)
-        save(figure, path)
+        legend_below(figure)
+
+
+def _scenes(rows: Rows) -> str:
+    return ", ".join(dict.fromkeys(row["scene"] for row in rows))

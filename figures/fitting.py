@@ -1,0 +1,172 @@
+"""Where letters go: lines as wide as there is room, ticks that read well, labels that keep clear of each other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from matplotlib.font_manager import FontProperties
+from matplotlib.text import Text
+from matplotlib.textpath import TextToPath
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
+from matplotlib.transforms import Bbox
+
+_DIRECTIONS = ((1, 1), (1, -1), (-1, 1), (-1, -1), (0, 1), (0, -1), (1, 0), (-1, 0))
+_DISTANCES = (6.0, 14.0, 26.0, 42.0, 64.0, 90.0)  # points between a mark and its label
+_FIRST_FAR = 14.0  # from which a line leads to the mark
+_LEAST_ROOM = 60.0  # points of a line
+_STEPS = (
+    (2.5, (1.0,)),
+    (1.2, (1.0, 3.0)),
+    (0.7, (1.0, 2.0, 5.0)),
+    (0.45, (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)),
+)  # decades of an axis, and the first digits that it has ticks at
+
+
+@lru_cache(maxsize=4096)
+def width_of(text: str, size: float) -> float:
+    """Points that a line takes."""
+    return TextToPath().get_text_width_height_descent(text, FontProperties(size=size), ismath="$" in text)[0]
+
+
+def room_of(part: Any) -> float:
+    """Points from the left to the right side of a figure, a part of one, or axes."""
+    return 72 * part.bbox.width / part.get_figure(root=True).dpi
+
+
+def wrapped(text: str, room: float, size: float) -> str:
+    """The text in lines of at most so many points; a word that is longer is broken, formulas are not."""
+    lines = []
+    for line in text.split("\n"):
+        if "$" in line:
+            lines.append(line)
+            continue
+        now = ""
+        for word in line.split(" "):
+            for piece in _pieces(word, room, size):
+                longer = f"{now} {piece}" if now else piece
+                if now and width_of(longer, size) > room:
+                    lines.append(now)
+                    now = piece
+                else:
+                    now = longer
+        lines.append(now)
+    return "\n".join(lines)
+
+
+def _pieces(word: str, room: float, size: float) -> Iterator[str]:
+    while len(word) > 1 and width_of(word, size) > room:
+        fits = max(1, int(len(word) * room / width_of(word, size)) - 1)
+        yield word[:fits]
+        word = word[fits:]
+    yield word
+
+
+def log_ticks(axis: Any, low: float, high: float) -> None:
+    """Ticks of a logarithmic axis from ``low`` to ``high``: few enough, as plain numbers where these are short."""
+    axis.set_major_locator(FixedLocator(_log_places(low, high)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: plain(value)))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def plain(value: float) -> str:
+    """A number for a tick: as it is written by hand; the largest and the smallest as powers of ten."""
+    if value == 0 or 1e-3 <= abs(value) < 1e6:
+        return f"{value:,.6g}" if abs(value) < 1e4 else f"{value:,.0f}"
+    power = int(np.floor(np.log10(abs(value)) + 1e-9))
+    front = value / 10.0**power
+    return f"$10^{{{power}}}$" if abs(front - 1) < 1e-6 else f"${front:.3g}\\cdot10^{{{power}}}$"
+
+
+def _log_places(low: float, high: float) -> list[float]:
+    decades = np.log10(high / low)
+    digits = next((digits for least, digits in _STEPS if decades >= least), None)
+    if digits is None:  # hardly longer than a step of the digits
+        step = 10.0 ** np.floor(np.log10((high - low) / 2 or 1.0))
+        step *= next((k for k in (1, 2, 5) if (high - low) / (k * step) <= 5), 10)
+        return [k * step for k in range(int(np.ceil(low / step)), int(high / step) + 1)]
+    powers = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
+    powers = powers[:: max(1, round(decades / 6))]
+    return [d * 10.0**k for k in powers for d in digits if low * (1 - 1e-9) <= d * 10.0**k <= high * (1 + 1e-9)]
+
+
+def finish(figure: Any, part: Any) -> None:
+    """Ticks, line breaks of titles, and places of labels, once everything is drawn."""
+    for axes in _all_axes(part):
+        for axis, limits in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+            if axis.get_scale() == "log" and axis.isDefault_majloc:
+                log_ticks(axis, *sorted(limits))
+    figure.draw_without_rendering()
+    for axes in _all_axes(part):
+        place, whole = axes.get_position(original=True), axes.figure.bbox
+        across, up = 72 * place.width * whole.width / figure.dpi, 72 * place.height * whole.height / figure.dpi
+        for text, room in ((axes.title, across), (axes.xaxis.label, across), (axes.yaxis.label, up)):
+            text.set_text(wrapped(text.get_text(), max(room, _LEAST_ROOM), text.get_size()))
+    figure.draw_without_rendering()
+    _keep_clear(figure, part)
+
+
+def _all_axes(part: Any) -> list[Any]:
+    return part.axes + [axes for own in part.subfigs for axes in _all_axes(own)]
+
+
+def _keep_clear(figure: Any, part: Any) -> None:
+    """Move labels that may move to where nothing is, and leave out those that may go, where something is."""
+    renderer = figure.canvas.get_renderer()
+    for axes in _all_axes(part):
+        taken = [text.get_window_extent(renderer) for text in axes.texts if not text.get_gid() and text.get_text()]
+        marks = _marks(axes)
+        for text in axes.texts:
+            if text.get_gid() == "may go":
+                _keep(text, text.get_window_extent(renderer).padded(1), taken)
+            elif text.get_gid() == "may move":
+                _move(text, axes, taken, marks, renderer)
+
+
+def _keep(text: Any, box: Bbox, taken: list[Bbox]) -> None:
+    if any(box.overlaps(other) for other in taken):
+        text.set_visible(False)
+    else:
+        taken.append(box)
+
+
+def _marks(axes: Any) -> np.ndarray:
+    """Pixels of the vertices of all lines."""
+    found = [line.get_transform().transform(line.get_xydata()) for line in axes.lines if len(line.get_xydata()) > 2]
+    found += [line.get_transform().transform(line.get_xydata()) for line in axes.lines if len(line.get_xydata()) == 1]
+    return np.concatenate([*found, np.zeros((0, 2))])
+
+
+def _move(text: Any, axes: Any, taken: list[Bbox], marks: np.ndarray, renderer: Any) -> None:
+    """To the first place that is free, near ones before far ones; left out where there is none."""
+    within = axes.get_window_extent(renderer)
+    dot = renderer.points_to_pixels(4.5)
+    for distance in _DISTANCES:
+        for right, up in _DIRECTIONS:
+            text.set_position((right * distance, up * distance))
+            text.set_ha({1: "left", 0: "center", -1: "right"}[right])
+            text.set_va({1: "bottom", 0: "center", -1: "top"}[up])
+            box = _letters(text, renderer)
+            clear = not any(box.overlaps(other) for other in taken)
+            if clear and _contains(within, box) and not _any_in(marks, box.padded(dot)):
+                taken.append(box)
+                text.arrow_patch.set_visible(distance >= _FIRST_FAR)
+                return
+    text.set_visible(False)
+
+
+def _letters(text: Any, renderer: Any) -> Bbox:
+    """Of an annotation, without its line."""
+    text.update_positions(renderer)
+    return Text.get_window_extent(text, renderer).padded(1)
+
+
+def _contains(outer: Bbox, inner: Bbox) -> bool:
+    return outer.x0 <= inner.x0 and inner.x1 <= outer.x1 and outer.y0 <= inner.y0 and inner.y1 <= outer.y1
+
+
+def _any_in(points: np.ndarray, box: Bbox) -> bool:
+    x, y = points.T
+    return bool(np.any((x > box.x0) & (x < box.x1) & (y > box.y0) & (y < box.y1)))
