@@ -11,11 +11,13 @@ from matplotlib.font_manager import findfont
 from PIL import Image, ImageDraw, ImageFont
 from PIL.PngImagePlugin import PngInfo
 
+from slefejax.figures.fitting import wrapped
 from slefejax.figures.style import BACKGROUND, ERROR_CLASSES, INK, LINES
 
-_FONT = 15  # pixels
-_LINE, _EDGE = 21, 8  # pixels of a line of text, and around everything
-_SWATCH = 16  # pixels of a sample of a colour
+_FONT = 19  # pixels
+_LINE, _EDGE = 26, 9  # pixels of a line of text, and around everything
+_SWATCH, _GAP = 19, 22  # pixels of a sample of a colour, and after its name
+_SAFE = 0.97  # of the room: letters of pictures are a little wider than those of figures
 _NARROWEST = 320  # pixels of a page
 _KEPT = "picture"  # the name, in the file, of where on the page the picture is
 
@@ -53,15 +55,15 @@ def error_page(
     """
     font = ImageFont.truetype(findfont("DejaVu Sans"), _FONT)
     wide = max(wide, picture.width, _NARROWEST)
-    above = _lines(title.split(" "), font, wide, " ")
-    below = _lines([name for _, _, name in ERROR_CLASSES], font, wide, "", _SWATCH + 22)
+    above = wrapped(title, _SAFE * (wide - 2 * _EDGE), _FONT).split("\n")
+    below = _rows([name for _, _, name in ERROR_CLASSES], font, wide)
     top = _LINE * len(above) + 2 * _EDGE
     page = Image.new("RGB", (wide, top + picture.height + _LINE * (len(below) + 1) + 2 * _EDGE), BACKGROUND)
     left = (wide - picture.width) // 2
     page.paste(picture, (left, top))
     draw = ImageDraw.Draw(page)
-    for number, words in enumerate(above):
-        draw.text((_EDGE, _EDGE + number * _LINE), " ".join(words), INK, font)
+    for number, line in enumerate(above):
+        draw.text((_EDGE, _EDGE + number * _LINE), line, INK, font)
     start = top + picture.height + _EDGE
     _draw_scale(draw, font, wide, start, picture.width, scale)
     colours = {name: colour for _, colour, name in ERROR_CLASSES}
@@ -69,8 +71,8 @@ def error_page(
         x, y = float(_EDGE), start + (number + 1) * _LINE
         for name in names:
             draw.rectangle((x, y, x + _SWATCH, y + _SWATCH - 2), colours[name], LINES)
-            draw.text((x + _SWATCH + 5, y - 3), name, INK, font)
-            x += _SWATCH + 22 + font.getlength(name)
+            draw.text((x + _SWATCH + _GAP / 4, y - 3), name, INK, font)
+            x += _SWATCH + _GAP + font.getlength(name)
     return page, (left, top, left + picture.width, top + picture.height)
 
 
@@ -86,14 +88,12 @@ def _draw_scale(draw: Any, font: Any, wide: int, y: float, width: int, scale: fl
     draw.line((right - pixels * scale, y + 7, right, y + 7), INK, 3)
 
 
-def _lines(words: list[str], font: Any, wide: int, between: str, extra: float = 0.0) -> list[list[str]]:
-    """The words, as many a line as fit."""
+def _rows(names: list[str], font: Any, wide: int) -> list[list[str]]:
+    """The names of the colours, as many a row as fit."""
     found: list[list[str]] = [[]]
-    for word in words:
-        longer = [*found[-1], word]
-        taken = font.getlength(between.join(longer)) + extra * len(longer)
+    for name in names:
+        taken = sum(font.getlength(own) + _SWATCH + _GAP for own in (*found[-1], name))
         if found[-1] and taken > wide - 2 * _EDGE:
-            found.append([word])
-        else:
-            found[-1] = longer
+            found.append([])
+        found[-1].append(name)
     return found

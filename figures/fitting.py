@@ -16,6 +16,7 @@ from matplotlib.transforms import Bbox
 _DIRECTIONS = ((1, 1), (1, -1), (-1, 1), (-1, -1), (0, 1), (0, -1), (1, 0), (-1, 0))
 _DISTANCES = (6.0, 14.0, 26.0, 42.0, 64.0, 90.0)  # points between a mark and its label
 _FIRST_FAR = 14.0  # from which a line leads to the mark
+_SAMPLES = 64  # of a piece of a line
 _LEAST_ROOM = 60.0  # points of a line
 _STEPS = (
     (2.5, (1.0,)),
@@ -113,12 +114,14 @@ def _all_axes(part: Any) -> list[Any]:
 
 
 def _keep_clear(figure: Any, part: Any) -> None:
-    """Move labels that may move to where nothing is, and leave out those that may go, where something is."""
+    """Show labels that may move where nothing is, and those that may go unless something is where they are."""
     renderer = figure.canvas.get_renderer()
     for axes in _all_axes(part):
         taken = [text.get_window_extent(renderer) for text in axes.texts if not text.get_gid() and text.get_text()]
         marks = _marks(axes)
         for text in axes.texts:
+            if text.get_gid():
+                text.set_visible(True)
             if text.get_gid() == "may go":
                 _keep(text, text.get_window_extent(renderer).padded(1), taken)
             elif text.get_gid() == "may move":
@@ -132,35 +135,40 @@ def _keep(text: Any, box: Bbox, taken: list[Bbox]) -> None:
         taken.append(box)
 
 
-def _marks(axes: Any) -> np.ndarray:
-    """Pixels of the vertices of all lines."""
-    found = [line.get_transform().transform(line.get_xydata()) for line in axes.lines if len(line.get_xydata()) > 2]
-    found += [line.get_transform().transform(line.get_xydata()) for line in axes.lines if len(line.get_xydata()) == 1]
-    return np.concatenate([*found, np.zeros((0, 2))])
+def _marks(axes: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels of the vertices of all lines, and of what lies between them where that is drawn."""
+    vertices, between = [np.zeros((0, 2))], [np.zeros((0, 2))]
+    for line in axes.lines:
+        points = line.get_transform().transform(line.get_xydata())
+        points = points[np.isfinite(points).all(axis=1)]
+        if line.get_marker() not in ("", "None", None):
+            vertices.append(points)
+        if line.get_linestyle() != "None" and len(points) > 1:
+            steps = np.linspace(0.0, 1.0, _SAMPLES)[:, None, None]
+            between.append(((1 - steps) * points[:-1] + steps * points[1:]).reshape(-1, 2))
+    return np.concatenate(vertices), np.concatenate(between)
 
 
-def _move(text: Any, axes: Any, taken: list[Bbox], marks: np.ndarray, renderer: Any) -> None:
+def _move(text: Any, axes: Any, taken: list[Bbox], marks: tuple[np.ndarray, np.ndarray], renderer: Any) -> None:
     """To the first place that is free, near ones before far ones; left out where there is none."""
     within = axes.get_window_extent(renderer)
-    dot = renderer.points_to_pixels(4.5)
+    dot, point = renderer.points_to_pixels(4.5), renderer.points_to_pixels(1.0)
+    letters = Text.get_window_extent(text, renderer)
+    size = np.array([letters.width, letters.height])
+    mark = axes.transData.transform(text.xy)
     for distance in _DISTANCES:
-        for right, up in _DIRECTIONS:
-            text.set_position((right * distance, up * distance))
-            text.set_ha({1: "left", 0: "center", -1: "right"}[right])
-            text.set_va({1: "bottom", 0: "center", -1: "top"}[up])
-            box = _letters(text, renderer)
-            clear = not any(box.overlaps(other) for other in taken)
-            if clear and _contains(within, box) and not _any_in(marks, box.padded(dot)):
+        for direction in _DIRECTIONS:
+            corner = mark + point * distance * np.array(direction) - size * (1 - np.array(direction)) / 2
+            box = Bbox([corner, corner + size]).padded(1)
+            clear = _contains(within, box) and not any(box.overlaps(other) for other in taken)
+            if clear and not _any_in(marks[0], box.padded(dot)) and not _any_in(marks[1], box):
                 taken.append(box)
+                text.set_position(distance * np.array(direction))
+                text.set_ha({1: "left", 0: "center", -1: "right"}[direction[0]])
+                text.set_va({1: "bottom", 0: "center", -1: "top"}[direction[1]])
                 text.arrow_patch.set_visible(distance >= _FIRST_FAR)
                 return
     text.set_visible(False)
-
-
-def _letters(text: Any, renderer: Any) -> Bbox:
-    """Of an annotation, without its line."""
-    text.update_positions(renderer)
-    return Text.get_window_extent(text, renderer).padded(1)
 
 
 def _contains(outer: Bbox, inner: Bbox) -> bool:

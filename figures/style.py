@@ -191,7 +191,9 @@ def hide_rest(grid: Any, used: int) -> None:
 
 def on_picture(axes: Any, place: tuple[float, float], text: str) -> None:
     """Letters on a picture, on a light plate; left out where they would lie over letters that were there before."""
-    axes.annotate(text, place, ha="center", va="center", size=SMALL, bbox=_PLATE, gid="may go")
+    axes.annotate(
+        text, place, ha="center", va="center", size=SMALL, bbox=_PLATE, gid="may go", in_layout=False, visible=False
+    )
 
 
 def beside(axes: Any, place: tuple[float, float], text: str, colour: str = INK) -> None:
@@ -199,7 +201,7 @@ def beside(axes: Any, place: tuple[float, float], text: str, colour: str = INK) 
     if text:
         line = {"arrowstyle": "-", "color": FAINT, "lw": 0.8, "shrinkA": 1, "shrinkB": 2}
         offset = {"xytext": (6, 6), "textcoords": "offset points", "arrowprops": line}
-        axes.annotate(text, place, **offset, size=SMALL, color=colour, gid="may move")
+        axes.annotate(text, place, **offset, size=SMALL, color=colour, gid="may move", in_layout=False, visible=False)
 
 
 def level(axes: Any, value: float, text: str) -> None:

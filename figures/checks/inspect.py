@@ -62,7 +62,7 @@ def write_inspect_figure(page: Page, panels: Panels, title: str, tolerance: floa
     net = _around(panels)
     down, across = (own.stop - own.start for own in box)
     tall = max(down / across, (net[1][1] - net[1][0]) / (net[0][1] - net[0][0]))
-    with drawing(page, 13, 2 * (1.0 + 6.0 * min(1.2, max(0.45, tall))), title) as figure:
+    with drawing(page, 13, 2 * (1.2 + 6.0 * min(1.05, max(0.45, tall))), title) as figure:
         parts: Any = figure.subfigures(2, 2)
         _control_mesh(parts[0, 0], panels, net)
         _kinds(parts[0, 1], panels, box)
@@ -122,7 +122,7 @@ def _edges(axes: Any, panels: Panels, box: Any) -> None:
 def _factors(part: Any, panels: Panels, box: Any, tolerance: float) -> None:
     axes = part.subplots()
     picture = axes.imshow(panels.factor[box], origin="lower", cmap=FACTOR_MAP, interpolation="nearest")
-    part.colorbar(picture, ax=axes, shrink=0.8, label="factor: pieces along each side")
+    part.colorbar(picture, ax=axes, location="bottom", shrink=0.8, pad=0.02, label="factor: pieces along each side")
     bare(axes, f"certified tessellation factors for {tolerance:g} px")
 
 
