@@ -42,8 +42,8 @@ def write_error_image(path: Path, error: np.ndarray, title: str) -> None:
 def read_error_image(path: Path) -> np.ndarray:
     """``(height, width, 3)`` from 0 to 1, row 0 at the top: the pixels of the screen alone."""
     with Image.open(path) as page:
-        box = tuple(int(number) for number in page.text[_KEPT].split())  # type: ignore[attr-defined]
-        return np.asarray(page.convert("RGB").crop(box), float) / 255
+        left, top, right, bottom = map(int, page.info[_KEPT].split())
+        return np.asarray(page.convert("RGB"), float)[top:bottom, left:right] / 255
 
 
 def error_page(

@@ -99,6 +99,8 @@ def finish(figure: Any, part: Any) -> None:
         for axis, limits in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
             if axis.get_scale() == "log" and axis.isDefault_majloc:
                 log_ticks(axis, *sorted(limits))
+            elif axis.get_scale() == "symlog" and axis.isDefault_majfmt:
+                axis.set_major_formatter(FuncFormatter(lambda value, _: plain(value)))
     figure.draw_without_rendering()
     for axes in _all_axes(part):
         place, whole = axes.get_position(original=True), axes.figure.bbox

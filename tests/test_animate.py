@@ -56,8 +56,8 @@ def test_animate(device, capsys, walker):
     assert looking["skinning_ms"] == looking["boxes_ms"] == 0.0 < looking["view_ms"]
     assert static["skinning_ms"] == static["boxes_ms"] == static["view_ms"] == 0.0
     assert min(moving[name] for name in ("skinning_ms", "boxes_ms", "view_ms", "render_ms")) > 0
-    names = TABLES | {"run.json", "modes.csv", "timeline.png", "work.png", "animation.gif"}
-    assert set(os.listdir(result["out"])) == names | {f"frame_{k:04d}.png" for k in range(3)}
+    names = TABLES | {"run.json", "modes.csv", "timeline.png", "time_of_a_frame.png", "animation.gif"}
+    assert set(os.listdir(result["out"])) == names | {f"error_frame_{k:04d}.png" for k in range(3)}
     film: Any = Image.open(f"{result['out']}/animation.gif")
     assert (film.n_frames, film.info["duration"]) == (3, 330)  # 8 of 24 frames a second
     film.close()

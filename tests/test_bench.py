@@ -62,7 +62,11 @@ def test_command(tmp_path, capsys):
     assert {row["stage"] for row in rows} == {"fused", "table"}
     assert all(row["median_ms"] > 0 and row["low_ms"] <= row["median_ms"] <= row["high_ms"] for row in rows)
     assert {row["peer"] for row in rows if row["stage"] == "fused"} >= {"NumPy", "NumPy, unrolled"}
-    assert {path.name for path in tmp_path.iterdir()} == TABLES | {"benchmarks.md", "growth.png", "run.json"}
+    assert {path.name for path in tmp_path.iterdir()} == TABLES | {
+        "benchmarks.md",
+        "time_against_patches.png",
+        "run.json",
+    }
 
 
 def test_a_process_that_ends_is_one_sentence():

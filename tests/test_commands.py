@@ -20,6 +20,7 @@ from slefejax.experiments.options import option_names
 from slefejax.experiments.parsing import parsed
 from slefejax.experiments.report import Report
 from slefejax.figures.checks.stability import write_stability_figure
+from slefejax.figures.page import Page
 from slefejax.study.relaxing import Relaxed
 from tests.meshes import disc
 from tests.test_imports import modules
@@ -258,8 +259,8 @@ def test_errors_of_zero_are_drawn_and_told_as_zero(tmp_path, monkeypatch):
         for precision in ("single", "double")
     ]
     drawn = []
-    monkeypatch.setattr("slefejax.figures.checks.stability.save", lambda figure, path: drawn.append(figure))
-    write_stability_figure(tmp_path / "x.png", rows)
+    monkeypatch.setattr("slefejax.figures.style.save", lambda figure, page: drawn.append(figure))
+    write_stability_figure(Page(tmp_path / "x.png"), rows)
     axes = drawn[0].axes[0]
     assert axes.get_yticklabels()[0].get_text() == "0"
     lines = [line for line in axes.get_lines() if line.get_label() == "single precision"]

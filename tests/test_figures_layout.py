@@ -55,10 +55,10 @@ def test_the_checker_finds_planted_faults():
     axes = figure.subplots()
     axes.plot(np.linspace(0, 1, 9), label="a line")
     assert faults(figure) == []
-    axes.legend(loc="lower right")
+    legend = axes.legend(loc="lower right")
     axes.plot([0, 8], [0, 0.05])
     assert any("a legend lies over the line" in fault for fault in faults(figure))
-    axes.get_legend().remove()
+    legend.remove()
     axes.text(2, 0.8, "one")
     axes.text(2, 0.82, "another")
     assert faults(figure) == ["'another' and 'one' overlap"]

@@ -21,6 +21,7 @@ from slefejax.experiments.products.feature import RADII, box, by_covariances, by
 from slefejax.experiments.products.nested import NestedLook
 from slefejax.experiments.products.recursive import Recursive
 from slefejax.experiments.products.spreads import ORIENTATIONS, median_condition, spread
+from slefejax.figures.page import Page
 from slefejax.figures.products.gaussian import write_levels
 from slefejax.gpu import Renderer
 from slefejax.model.gaussians import with_gaussians
@@ -200,7 +201,7 @@ def test_the_study_of_gaussian_products(capsys, tmp_path):
     assert rows[1]["max_error_px"] > rows[2]["max_error_px"]
     assert {row["orientation"] for row in rows[5:]} == set(ORIENTATIONS)
     names = {file.name for file in (tmp_path / "run").iterdir()}
-    assert {"levels.png", "differences.png", "gaussians.png", "table.csv"} <= names
+    assert {"levels_compared.png", "errors_over_anisotropy.png", "gaussians.png", "table.csv"} <= names
 
 
 @pytest.mark.parametrize(
@@ -224,5 +225,5 @@ def test_figures_of_methods_that_refuse(tmp_path):
     refused = {"method": "published", "level": 5, **dict.fromkeys(names, np.nan)}
     made = {"method": "recursive", "level": 5, **dict.fromkeys(names, 2.0), "max_error_px": np.nan}
     for rows in ([refused], [refused, made], [refused, {**made, "method": "certified", "max_error_px": 0.4}]):
-        write_levels(tmp_path / "levels.png", rows, "fan")
+        write_levels(Page(tmp_path / "levels.png"), rows, "fan")
         assert (tmp_path / "levels.png").stat().st_size > 10_000

@@ -40,16 +40,17 @@ class Pictures(NamedTuple):
 def write_limit_figure(page: Page, pictures: Pictures) -> None:
     """Distances in per cent, one scale for all; what is the limit surface itself is grey."""
     highest = max(1e-12, *(float(np.nanmax(picture, initial=0.0)) for picture in pictures.values))
-    norm = LogNorm(10.0**-_DECADES * highest, highest)
+    lowest = 10.0**-_DECADES * highest
+    norm = LogNorm(lowest, highest)
     shown: Any = None
     with _panels(page, pictures, "how far patches are from the limit surface") as (axes, figure, crop):
         colours = mpl.colormaps[FACTOR_MAP].with_extremes(bad=BACKGROUND)
         exact = ListedColormap([PLAIN])
         for own, picture in zip(axes, pictures.values, strict=True):
-            shown = own.imshow(np.clip(picture[crop], norm.vmin, None), cmap=colours, norm=norm)
+            shown = own.imshow(np.clip(picture[crop], lowest, None), cmap=colours, norm=norm)
             own.imshow(np.where(picture[crop] == 0.0, 1.0, np.nan), cmap=exact)
         bar = figure.colorbar(shown, ax=axes, shrink=0.8, extend="min", label="distance (% of the diagonal)")
-        log_ticks(bar.ax.yaxis, norm.vmin, norm.vmax)
+        log_ticks(bar.ax.yaxis, lowest, highest)
         legend_below(figure, [Patch(facecolor=PLAIN, edgecolor=LINES, label="the limit surface itself")])
 
 

@@ -42,7 +42,7 @@ def _plot_mesh(part: Any, polygons: list[np.ndarray], values: np.ndarray, what: 
     axes.add_collection(faces)
     axes.autoscale_view()
     axes.set_aspect("equal")
-    axes.set_title(f"triangles that moving a {what} by 1 % of the scene can cost")
+    axes.set_title(f"triangles for a {what} moved by 1 % of the scene")
     axes.set_xlabel("x (pixels)")
     axes.set_ylabel("y (pixels)")
     axes.grid(visible=False)

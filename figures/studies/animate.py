@@ -50,27 +50,28 @@ def write_timeline(page: Page, rows: Rows, scene: str, tolerance: float) -> None
     times = [row["time"] for row in rows]
     style = method_style(rows[0]["method"]) | {"marker": "."}
     title = f"{scene} in motion, {rows[0]['patches']:,} patches: factors by '{rows[0]['method']}',"
-    with drawing(page, 10, 10.5, f"{title} {rows[0]['spacing']} spacing") as figure:
-        parts = figure.subfigures(3, 1, height_ratios=[1, 1.15, 1.2])
-        top, middle, bottom = (part.subplots() for part in parts)
+    with drawing(page, 10, 9.5, f"{title} {rows[0]['spacing']} spacing") as figure:
+        top, middle, bottom = figure.subplots(3, 1, sharex=True)
         top.plot(times, [row["triangles"] for row in rows], **style)
         top.set_ylabel("triangles")
         top.set_ylim(0, 1.1 * max(row["triangles"] for row in rows))
-        middle.plot(times, [row["max_error_px"] for row in rows], label="largest of a pixel", **style)
+        middle.plot(times, [row["max_error_px"] for row in rows], label="largest error of a pixel", **style)
         level(middle, tolerance, f"asked for: {tolerance:g} px")
         middle.set_ylabel("error (pixels)")
         middle.set_ylim(0, 1.1 * max(tolerance, float(np.nanmax([row["max_error_px"] for row in rows]))))
-        legend_below(parts[1])
         popping = rows[1:]
-        for name, label, line in (("pop_max_px", "largest", "^-"), ("pop_p99_px", "of 99 % of the pixels", "o--")):
+        for name, label, line in (
+            ("pop_max_px", "largest popping", "^-"),
+            ("pop_p99_px", "popping of 99 % of the pixels", "o--"),
+        ):
             bottom.plot(times[1:], [row[name] for row in popping], line, ms=4, color=QUIET, label=label)
-        bottom.set_ylabel("popping (pixels)")
+        bottom.set_ylabel("popping: texture moved by\nnew levels alone (pixels)")
         bottom.set_xlabel("time of the motion")
         bottom.set_ylim(0, 1.1 * max([0.01, *(row["pop_max_px"] for row in popping)]))
-        legend_below(parts[2], title="how far new levels alone move the texture")
         edge = 0.02 * (times[-1] - times[0]) or 0.5
-        for axes in (top, middle, bottom):
-            axes.set_xlim(times[0] - edge, times[-1] + edge)
+        bottom.set_xlim(times[0] - edge, times[-1] + edge)
+        figure.align_ylabels()
+        legend_below(figure)
 
 
 def write_work(page: Page, modes: Rows, scene: str, renderer: str) -> None:

@@ -9,9 +9,11 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from slefejax.figures.error_image import read_error_image
+from slefejax.figures.fitting import wrapped
 from slefejax.figures.page import Page
 from slefejax.figures.style import (
     INK,
+    SMALL,
     bar_numbers,
     bare,
     drawing,
@@ -24,7 +26,8 @@ from slefejax.figures.style import (
 
 Rows = list[dict[str, Any]]
 _TALL = 5.2  # inches of a line of pictures
-_PANELS = 6.2  # inches of the panels below
+_PANELS, _GROUP = 6.2, 0.9  # inches of the panels below, at least, and of a group of bars
+_NAME = 110.0  # points for the name of a scene
 
 
 def write_certify_figure(page: Page, rows: Rows, summary: Rows, images: list[list[Path]], tolerance: float) -> None:
@@ -35,8 +38,9 @@ def write_certify_figure(page: Page, rows: Rows, summary: Rows, images: list[lis
     """
     names = list(dict.fromkeys(row["scene"] for row in summary))
     title = f"Asked for at most {tolerance:g} px: how far is each pixel from where its texture belongs, and what does"
-    with drawing(page, 15, _TALL * len(names) + 0.6 + _PANELS, f"{title} a factor with a proof cost?") as figure:
-        top, bottom = figure.subfigures(2, 1, height_ratios=[_TALL * len(names) + 0.6, _PANELS])
+    heights = [_TALL * len(names) + 0.6, max(_PANELS, 1.6 + _GROUP * len(names))]
+    with drawing(page, 15, sum(heights), f"{title} a factor with a proof cost?") as figure:
+        top, bottom = figure.subfigures(2, 1, height_ratios=heights)
         across = max(map(len, images))
         grid = np.reshape(top.subplots(len(names), across), (len(names), across))
         for line, name, own_images in zip(grid, names, images, strict=True):
@@ -81,16 +85,15 @@ def _plot_errors(part: Any, rows: Rows, tolerance: float) -> None:
 
 def _plot_costs(part: Any, summary: Rows, names: list[str]) -> None:
     """Triangles over minimal ones, and times over those of the quickest method of a scene."""
-    left, right = part.subplots(1, 2)
+    left, right = part.subplots(1, 2, sharey=True)
     minimal = {row["scene"]: row["minimal_triangles"] for row in summary}
     quickest = {name: min(row["predict_ms"] for row in summary if row["scene"] == name) for name in names}
+    left.set_xscale("log")
     _bars(left, summary, names, "triangles", minimal, "{:.2f}")
-    left.set_yscale("log")
-    left.set_ylim(top=left.get_ylim()[1] * 2.0)
-    left.set_ylabel("triangles drawn, over minimal")
+    left.set_xlabel("triangles drawn, over minimal")
     left.set_title("what it costs in triangles")
     _bars(right, summary, names, "predict_ms", quickest, "{:.2g} ms")
-    right.set_ylabel("time to predict a view, over the quickest method's")
+    right.set_xlabel("time of a view, over the quickest method's")
     right.set_title("what it costs in time, once compiled")
     legend_below(part)
 
@@ -101,11 +104,11 @@ def _bars(axes: Axes, summary: Rows, names: list[str], key: str, unit: dict[str,
     for k, method in enumerate(methods):
         own = {row["scene"]: row[key] for row in summary if row["method"] == method}
         there = [i for i, name in enumerate(names) if name in own and unit[name] > 0]
-        heights = [own[names[i]] / unit[names[i]] for i in there]
+        lengths = [own[names[i]] / unit[names[i]] for i in there]
         places = np.array(there) + 0.27 * (k - (len(methods) - 1) / 2)
-        bars = axes.bar(places, heights, 0.25, label=method, color=method_style(method)["color"])
-        said = heights if key == "triangles" else [own[names[i]] for i in there]
+        bars = axes.barh(places, lengths, 0.25, label=method, color=method_style(method)["color"])
+        said = lengths if key == "triangles" else [own[names[i]] for i in there]
         bar_numbers(axes, bars, [form.format(value) for value in said])
-    axes.axhline(1.0, color=INK, lw=1)
-    axes.set_xlim(-0.5, len(names) - 0.5)
-    axes.set_xticks(range(len(names)), [name.replace("-", "-\n").replace("_", "_\n") for name in names])
+    axes.axvline(1.0, color=INK, lw=1)
+    axes.set_ylim(len(names) - 0.5, -0.5)
+    axes.set_yticks(range(len(names)), [wrapped(name, _NAME, SMALL) for name in names])

@@ -27,6 +27,6 @@ def write_side_by_side(page: Page, panels: list[tuple[dict[str, Any], Path]], to
         for axes, (row, _), image in zip(places, panels, images, strict=False):
             axes.imshow(image[box], interpolation="nearest")
             share = 100 * row["share_above_0.5"]
-            said = f"{row['method_name']}: {row['triangles']:,} triangles\n{share:.2g} % of the pixels off by more"
+            said = f"{row['method_name']}: {row['triangles']:,} triangles\n{share:.2g} % of pixels off by more"
             bare(axes, f"{said} than ½ px, worst {row['max_error_px']:.2f} px")
         error_legend(figure)
