@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 
 from slefejax import InputError, Mesh, convert, load
 from slefejax.arguments import did_you_mean, no_such
@@ -267,6 +268,6 @@ def test_errors_of_zero_are_drawn_and_told_as_zero(tmp_path, monkeypatch):
     assert np.isnan(np.asarray(lines[0].get_ydata(), float)[1:]).all(), "no line goes down to a zero"
     zero = [line for line in axes.get_lines() if len(line.get_xdata()) == 2 and line.get_linestyle() == "None"]
     assert len(zero) == 2
-    assert all(line.get_markerfacecolor() == "white" for line in zero)
+    assert all(to_rgb(line.get_markerfacecolor()) == (1, 1, 1) for line in zero)
     rows = [{"case": 1, "single_error": 0.0}, {"case": 2, "single_error": 1e-7}]
     assert re.search(r"1 +0\n +2 +1\.0e-07", Report(None, None, rows, "")._text())

@@ -16,8 +16,8 @@ def write_attack_figure(page: Page, rows: list[dict[str, Any]]) -> None:
     """A table in colour: a row a family, a column a setting; what broke the tolerance is red."""
     families, settings = (list(dict.fromkeys(row[name] for row in rows)) for name in ("family", "setting"))
     broken = sum(bool(row["violations"]) for row in rows)
-    title = f"Largest error over the tolerance that an attack found: {len(families)} families of nets, "
-    title += f"{len(settings)} settings; the tolerance was broken in {broken} of {len(rows)} (red)"
+    title = "Largest error over the tolerance that an attack found, by family of nets and setting;"
+    title += f" the tolerance was broken in {broken} of {len(rows)} (red)"
     width, height = max(6.5, 4.0 + 1.0 * len(settings)), 2.4 + 0.45 * len(families)
     with drawing(page, width, height, title, grid=False) as figure:
         axes = figure.subplots()

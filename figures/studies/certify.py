@@ -109,6 +109,7 @@ def _bars(axes: Axes, summary: Rows, names: list[str], key: str, unit: dict[str,
         bars = axes.barh(places, lengths, 0.25, label=method, color=method_style(method)["color"])
         said = lengths if key == "triangles" else [own[names[i]] for i in there]
         bar_numbers(axes, bars, [form.format(value) for value in said])
-    axes.axvline(1.0, color=INK, lw=1)
+    axes.axvline(1.0, color=INK, lw=1, zorder=0.5)
+    axes.grid(axis="y", visible=False)
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.set_yticks(range(len(names)), [wrapped(name, _NAME, SMALL) for name in names])
