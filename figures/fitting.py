@@ -19,7 +19,7 @@ _FIRST_FAR = 14.0  # from which a line leads to the mark
 _SAMPLES = 64  # of a piece of a line
 _LEAST_ROOM = 60.0  # points of a line
 _STEPS = (
-    (2.5, (1.0,)),
+    (3.2, (1.0,)),
     (1.2, (1.0, 3.0)),
     (0.7, (1.0, 2.0, 5.0)),
     (0.45, (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)),
