@@ -42,7 +42,7 @@ PARTS = {
 }
 _LEAST = 4.0  # per cent of a bar that has room for a number
 _WIDEST = 720  # pixels of the film
-_LEAST_WIDE = 480  # so that titles of frames are a line or two
+_LEAST_WIDE = 600  # so that titles of frames are one line
 
 
 def write_timeline(page: Page, rows: Rows, scene: str, tolerance: float) -> None:
