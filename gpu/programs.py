@@ -28,11 +28,13 @@ class Shape(NamedTuple):
 
 
 class Options(NamedTuple):
-    """What is drawn of patches: with which spacing, with sides that are their owners' (sides.glsl), which normals."""
+    """What is drawn of patches: with which spacing, with sides that are their owners' (sides.glsl), which normals,
+    and whether with the sides of triangles."""
 
     spacing: str
     owned: bool
     normals: str | None
+    wire: bool
 
 
 def draw_program(context: Any, shape: Shape, options: Options) -> Any:
@@ -51,7 +53,7 @@ def _program(context: Any, shape: Shape, options: Options, stages: dict[str, str
     defines |= {"TWISTS": shape.twists, "NESTED": int(shape.levels is not None), "LEVELS": shape.levels or 0}
     defines |= {"SPACING": options.spacing.replace("-", "_") + "_spacing"}
     defines |= {"OWNED_SIDES": int(options.owned), "NORMALS": int(options.normals is not None)}
-    defines |= {"TANGENT_NETS": int(options.normals == "tangents")}
+    defines |= {"TANGENT_NETS": int(options.normals == "tangents"), "WIRE": int(options.wire)}
     sources = {stage: _source(name, defines) for stage, name in stages.items()}
     try:
         return context.program(**sources)

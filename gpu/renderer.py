@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NoReturn
 
 import moderngl
 import numpy as np
-from jaxtyping import Float, Int, Real
+from jaxtyping import Real
 
 from slefejax.arguments import real_numbers, whole_numbers
 from slefejax.errors import InputError, OpenGLError
 from slefejax.geometry.normals import kind_of_normals
 from slefejax.geometry.view import View
+from slefejax.gpu.buffers import GBuffer, Triangles
 from slefejax.gpu.context import Device, open_device
 from slefejax.gpu.programs import Options, capture_program, draw_program
 from slefejax.gpu.sent import owner_records, sent, sides_of, write_changed
@@ -33,52 +33,11 @@ VERTICES_A_DRAW = 65_536
 _RECORD, _NORMALS = 20, 9  # floats a captured triangle, and how many more with normals, see capture.geom
 _PIECE = 12  # floats a piece, see patch.tesc
 _OWNERS = 4  # binding, see sides.glsl
-_ATTACHMENTS = (4, 2, 4)  # components of the G-buffer's parts, see gbuffer.frag; without normals two of them
+_COMPONENTS = {"sample": 4, "drawn": 2, "normal": 4, "side": 4}  # of the G-buffer's parts, see gbuffer.frag
 _PROGRAMS = {"draw": draw_program, "capture": capture_program}
 
 Inner = Any  # levels (patches, 2), along u and v
 Outer = Any  # levels (patches, 4), at u=0, v=0, u=1, v=1
-
-
-@dataclass(frozen=True)
-class GBuffer:
-    """What is seen at every pixel centre; arrays ``(height, width)``, row 0 at the bottom (``slefejax.geometry.view``).
-
-    u, v  : float32 parameters of the patch, interpolated with perspective by the rasteriser; where they would lie
-            outside of what is drawn of the triangle, the nearest that lie in it (``slefejax.gpu.strays``)
-    patch : int32 number of the patch, -1 where nothing was drawn
-    depth : float32 window depth, 1 where nothing was drawn
-    drawn : float32 ``(height, width, 2)``, where the triangle's point with these parameters is drawn: so many pixels to
-            the right of the pixel's centre and above it, 0 where nothing was drawn
-    normal : float32 ``(height, width, 3)``, unit normals in the scene's axes, along p_u x p_v whatever side is seen:
-             those at the vertices, undivided, interpolated with perspective (docs/math.md, 4). NaN where nothing was
-             drawn, and where the triangle has no normal. None unless they were asked for
-    """
-
-    u: Float[np.ndarray, "height width"]
-    v: Float[np.ndarray, "height width"]
-    patch: Int[np.ndarray, "height width"]
-    depth: Float[np.ndarray, "height width"]
-    drawn: Float[np.ndarray, "height width 2"]
-    normal: Float[np.ndarray, "height width 3"] | None = None
-
-
-@dataclass(frozen=True)
-class Triangles:
-    """Triangles as the tessellator made them, in no particular order.
-
-    patch      : ``(triangles,)`` int32
-    parameters : ``(triangles, 3, 2)`` float32, (u, v) of each vertex
-    clip       : ``(triangles, 3, 4)`` float32, its clip-space position
-    normal     : ``(triangles, 3, 3)`` float32, its normal in the scene's axes, 0 if there is none: N over the distances
-                 from sides that are points (``slefejax.geometry.normals``), times a number of the patch's own. None
-                 unless they were asked for
-    """
-
-    patch: Int[np.ndarray, "triangles"]
-    parameters: Float[np.ndarray, "triangles 3 2"]
-    clip: Float[np.ndarray, "triangles 3 4"]
-    normal: Float[np.ndarray, "triangles 3 3"] | None = None
 
 
 class Renderer:
@@ -100,6 +59,7 @@ class Renderer:
                ``"tangents"`` for those of tangent patches, which agree along edges where the surface's jump
     tangents : for these: along u ``(patches, du, dv+1, 3)`` and along v ``(patches, du+1, dv, 3)``, as of
                ``scene.tangents()``
+    wire     : whether pictures have the sides and areas of triangles, too, ``GBuffer.edge`` and ``GBuffer.area``
 
     Raises InputError for patches, sides, normals or tangents that do not fit.
 
@@ -118,11 +78,13 @@ class Renderer:
         sides: Sides | None = None,
         normals: bool | str = False,
         tangents: Any = None,
+        wire: bool = False,
     ) -> None:
         check_spacing(spacing)
-        self.normals = kind_of_normals(normals)
+        self.normals, self.wire = kind_of_normals(normals), wire
         self.device, self.spacing = device or open_device(), spacing
-        self._attachments = _ATTACHMENTS if self.normals else _ATTACHMENTS[:2]
+        asked = {"normal": self.normals is not None, "side": wire}
+        self._components = {name: count for name, count in _COMPONENTS.items() if asked.get(name, True)}
         self.device.check_thread()
         self.device.collect()
         self._sent = sent(patches, None, self.normals, tangents)
@@ -196,22 +158,19 @@ class Renderer:
         if self._drawn is None:
             raise InputError("nothing was drawn since the renderer was made or its patches moved: draw, then read")
         target = self._framebuffer(view)
-        parts = [
-            np.frombuffer(target.read(attachment=k, components=n, dtype="f4"), np.float32).reshape(
+        parts = {
+            name: np.frombuffer(target.read(attachment=k, components=n, dtype="f4"), np.float32).reshape(
                 *target.size[::-1], n
             )
-            for k, n in enumerate(self._attachments)
-        ]
+            for k, (name, n) in enumerate(self._components.items())
+        }
         self.device.check_error("reading the G-buffer")
-        strays, at = Strays.of(*parts[:2])
+        strays, at = Strays.of(parts["sample"], parts["drawn"])
         if len(strays.patch):
-            parts = [part.copy() for part in parts]
-            for part, own in zip(parts, self._settled(strays, parts[0][at], *self._drawn), strict=True):
-                part[at] = own
-        samples, drawn, *normals = parts
-        patch = samples[..., 2].astype(np.int32)
-        normal = _where_there_are(normals[0][..., :3], patch) if normals else None
-        return GBuffer(samples[..., 0], samples[..., 1], patch, samples[..., 3], drawn, normal)
+            for name, own in self._settled(strays, parts["sample"][at], *self._drawn).items():
+                parts[name] = parts[name].copy()
+                parts[name][at] = own
+        return GBuffer.of(parts)
 
     def capture(self, view: View, inner: Inner, outer: Outer) -> Triangles:
         """The triangles that the tessellator makes for these levels, with their clip-space positions.
@@ -235,15 +194,16 @@ class Renderer:
 
     def _settled(
         self, strays: Strays, samples: np.ndarray, view: View, parts: Pieces, in_pieces: bool
-    ) -> list[np.ndarray]:
-        """All parts of them in the G-buffer: of the nearest points of their triangles, and where these are drawn."""
+    ) -> dict[str, np.ndarray]:
+        """Their parts of the G-buffer: of the nearest points of their triangles, and where these are drawn."""
         corners, clip, normals = strays.triangles(parts, lambda some: self._captured(view, some, in_pieces))
         place = nearest_drawn(corners, clip, strays.place).astype(np.float32)
         screen = drawn_at(corners, clip, place.astype(float)) * [0.5 * view.width, 0.5 * view.height]
-        found = [np.column_stack([place, strays.patch, samples[:, 3]]), screen - strays.centre]
+        sample = np.column_stack([place, strays.patch, samples[:, 3]])
+        found = {"sample": sample, "drawn": screen - strays.centre}
         if normals is not None:
             normal = normals_at(corners, normals, place.astype(float))
-            found.append(np.column_stack([normal, np.zeros(len(normal))]))
+            found["normal"] = np.column_stack([normal, np.zeros(len(normal))])
         return found
 
     def _captured(self, view: View, parts: Pieces, in_pieces: bool) -> Triangles:
@@ -313,7 +273,7 @@ class Renderer:
 
     def _array(self, name: str) -> Any:
         if name not in self._arrays:
-            options = Options(self.spacing, _OWNERS in self._buffers, self.normals)
+            options = Options(self.spacing, _OWNERS in self._buffers, self.normals, self.wire)
             program = _PROGRAMS[name](self.device.context, self._sent.shape, options)
             self._arrays[name] = self.device.context.vertex_array(program, [(self._numbers, "i", "number")])
         return self._arrays[name]
@@ -329,7 +289,7 @@ class Renderer:
                     f" its limit is {self.device.largest_picture} pixels a side"
                 )
             try:
-                colours = [context.renderbuffer(size, components, dtype="f4") for components in self._attachments]
+                colours = [context.renderbuffer(size, components, dtype="f4") for components in self._components.values()]
                 self._target = (size, context.framebuffer(colours, context.depth_renderbuffer(size)))
             except moderngl.Error:
                 _ = context.error  # OpenGL remembers that it ran out of memory
@@ -363,14 +323,6 @@ class Renderer:
         limit = MOST_LEVEL if self.spacing == "equal" else highest_level(self.spacing, self.device.highest_level)
         check_levels(levels, limit)
         return inner, outer
-
-
-def _where_there_are(
-    normals: Float[np.ndarray, "height width 3"], patch: Int[np.ndarray, "height width"]
-) -> Float[np.ndarray, "height width 3"]:
-    """Normals, NaN where there is none."""
-    there = (patch >= 0) & np.any(normals != 0, axis=2)
-    return np.where(there[..., None], normals, np.float32(np.nan))
 
 
 def check_levels(levels: Real[np.ndarray, "patches"], highest: int = MOST_LEVEL) -> None:

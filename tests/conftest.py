@@ -37,7 +37,8 @@ jax.config.update(
 
 install_import_hook(
     [
-        *("slefejax.arguments", "slefejax.conversion", "slefejax.framing", "slefejax.gpu.renderer", "slefejax.scene"),
+        *("slefejax.arguments", "slefejax.conversion", "slefejax.framing", "slefejax.scene"),
+        *("slefejax.gpu.buffers", "slefejax.gpu.renderer"),
         *(
             "slefejax.bounds.slefe",
             "slefejax.bounds.slefe_tables",
