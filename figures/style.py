@@ -37,6 +37,10 @@ FACTOR_MAP = "viridis"
 DIVERGING_MAP = "RdBu_r"
 GREY_MAP = "gray"
 ORDERED_MAP = "cividis"
+# Triangles by area, small to large, blue, green, red and white in [YBP12]: here the background is white
+SIZE_COLOURS = ("#4a7fc1", "#2fa36b", "#c81e1e", "#e4e0d8")
+WIRE = "#101820"  # lines of a wireframe
+CHECKER = ("#f2efe9", "#3f5f7f")
 
 # For the colour-blind [OI]; with the marks they tell series apart, and patterns tell bars apart where colours repeat
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")

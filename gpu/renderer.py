@@ -289,7 +289,9 @@ class Renderer:
                     f" its limit is {self.device.largest_picture} pixels a side"
                 )
             try:
-                colours = [context.renderbuffer(size, components, dtype="f4") for components in self._components.values()]
+                colours = [
+                    context.renderbuffer(size, components, dtype="f4") for components in self._components.values()
+                ]
                 self._target = (size, context.framebuffer(colours, context.depth_renderbuffer(size)))
             except moderngl.Error:
                 _ = context.error  # OpenGL remembers that it ran out of memory

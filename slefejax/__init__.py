@@ -26,7 +26,7 @@ from slefejax.lanes.programs import keep_programs
 from slefejax.late import one_at_a_time
 from slefejax.loading import load, save
 from slefejax.measure.covering import covering_error
-from slefejax.measure.error import drawn_error, normal_error, pixel_error
+from slefejax.measure.error import drawn_error, exact_normals, normal_error, pixel_error
 from slefejax.measure.jumps import edge_turns
 from slefejax.measure.limit import LimitDistance, limit_distance
 from slefejax.measure.minimal import minimal_factors, minimal_pairs
@@ -104,6 +104,7 @@ __all__ = [
     "enclose_curve",
     "enclose_surface",
     "evaluate_patches",
+    "exact_normals",
     "fewer_triangles",
     "fit_km",
     "keep_programs",

@@ -11,7 +11,7 @@ from scipy.ndimage import uniform_filter
 from slefejax import Scene, View, tessellation_factors
 from slefejax.experiments.checks.mirror import stripes
 from slefejax.geometry.view import homogeneous
-from slefejax.gpu import Device, GBuffer, Renderer
+from slefejax.gpu import Device, Renderer
 from slefejax.measure.jumps import normal_jumps
 
 _CLOSE = (720, 720)  # pixels
@@ -46,7 +46,8 @@ def reflected(scene: Scene, view: View, tolerance: float, device: Device) -> Ref
 
     def pictures(own: View) -> list[np.ndarray]:
         factors = tessellation_factors(scene.patches(), own, tolerance=tolerance, edge_numbers=scene.edge_numbers)
-        return [_picture(each.draw(own, factors.inner, factors.edges), own, view) for each in renderers]
+        drawn = [each.draw(own, factors.inner, factors.edges).normal for each in renderers]
+        return [mirrored(normals, own, view)[::-1] for normals in drawn if normals is not None]
 
     whole = pictures(view)
     if np.isnan(whole[0]).all():
@@ -61,15 +62,26 @@ def _largest_jump(scene: Scene, tangents: object) -> float:
     return float(np.max(normal_jumps(scene.patches(), scene.conversion.smooth_sides, tangents), initial=0.0))
 
 
-def _picture(seen: GBuffer, own: View, whole: View) -> np.ndarray:
-    """Of an environment that stands upright in the whole picture, its middle behind the camera."""
-    assert seen.normal is not None
-    camera = whole.camera
-    rows, columns = np.indices(seen.patch.shape) + 0.5
-    towards = camera.eye - _in_space(own, np.stack([columns, rows], axis=-1))
-    right = _unit(np.cross(camera.up, camera.eye - camera.target))
-    up = _unit(np.asarray(camera.up))
-    return stripes(towards, seen.normal.astype(float), up, np.cross(right, up))[::-1]
+def mirrored(normals: np.ndarray, own: View, whole: View) -> np.ndarray:
+    """Stripes, 0 to 1, of an environment that stands upright in the whole picture, its middle behind the camera.
+
+    normals : unit vectors of every pixel of one's own view, ``(height, width, 3)``, to either side; NaN for none
+    """
+    right, up, _ = axes_of(whole)
+    return stripes(towards_camera(own), normals.astype(float), up, np.cross(right, up))
+
+
+def towards_camera(view: View) -> np.ndarray:
+    """From what every pixel shows to the camera, a perspective one: ``(height, width, 3)``, of any length."""
+    rows, columns = np.indices((view.height, view.width)) + 0.5
+    return view.camera.eye - _in_space(view, np.stack([columns, rows], axis=-1))
+
+
+def axes_of(view: View) -> np.ndarray:
+    """Unit vectors to the right of a picture, along the camera's up, and from the target to the camera."""
+    camera = view.camera
+    back = _unit(camera.eye - camera.target)
+    return np.array([_unit(np.cross(camera.up, back)), _unit(np.asarray(camera.up)), back])
 
 
 def _close_view(view: View, difference: np.ndarray) -> View:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import numpy as np
@@ -13,6 +13,7 @@ import tyro
 from slefejax import GregoryPatches, Scene, Session, View
 from slefejax.arguments import on_host
 from slefejax.errors import InputError
+from slefejax.experiments.levels import Spacing, check_levels_are_real, unproved
 from slefejax.experiments.options import FigureOptions, LoadOptions, PredictionOptions, ViewOptions, camera_record
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.shading import FOR_CERTIFIED, unclaimed_numbers
@@ -49,7 +50,7 @@ class Animate:
     camera_path: str = "still"
     """still, orbit:DEGREES (around the target), zoom:FACTOR (so many times as close in the end), or a .csv file with
     the columns eye_x eye_y eye_z target_x target_y target_z."""
-    spacing: Literal["equal", "fractional-even", "fractional-odd"] = "equal"
+    spacing: Spacing = "equal"
     """How the tessellator places vertices; fractional ones move with the factor instead of coming and going."""
     seconds: float = 1.0
     """How long each of the modes (pose every frame, at 33 Hz, never) is run; 0 leaves them out."""
@@ -87,8 +88,7 @@ class Animate:
             out = run.finish(rows, record)
         title = f"{scene.name}: {len(scene.patches()):,} patches in {len(rows)} frames at {self.camera.size}"
         notes = (*own, *frames.notes(scene), *(f"left out: {what}" for what in left_out))
-        if isinstance(session.request.method, Certified) and self.spacing != "equal":
-            notes += ("levels with fractional spacing are not proved: the certificate is for equal spacing",)
+        notes += unproved(session.request.method, self.spacing)
         columns = (*_SHOWN, *normals.columns) if turned else _SHOWN
         more = (("where the time of a frame goes, in milliseconds, and how many frames a second that makes", modes),)
         return Report(scene.name, out, rows, title, notes, {"modes": modes}, self.output.json, more=more, shown=columns)
@@ -98,9 +98,7 @@ class Animate:
             raise InputError("animate goes through the times of --frames: --time has no meaning for it")
         if not (np.isfinite(self.seconds) and self.seconds >= 0):
             raise InputError(f"--seconds must not be negative, not {self.seconds}")
-        fine = self.prediction.anisotropic or self.prediction.verify
-        if self.spacing != "equal" and fine:
-            raise InputError("--anisotropic and --verify find whole levels: they have no meaning with --spacing")
+        check_levels_are_real(self.prediction, self.spacing)
 
 
 def _of_normals(rows: list[Row], modes: list[Row]) -> tuple[str, ...]:

@@ -11,13 +11,12 @@ from jaxtyping import Float, Real
 
 from slefejax import Factors, Scene, Session, View
 from slefejax.errors import InputError
+from slefejax.experiments.levels import levels_of
 from slefejax.experiments.store import Row
 from slefejax.experiments.studies.times import milliseconds
 from slefejax.gpu import GBuffer
 from slefejax.measure.error import surface_on_screen
 from slefejax.session import PARTS
-from slefejax.tessellator.edges import edge_maxima
-from slefejax.tessellator.levels import levels_for
 
 _MOST = 100_000
 _STILL_RATE = 24.0  # frames a second of the film of a scene without a motion
@@ -118,13 +117,8 @@ def frame_levels(session: Session, view: View, pose: Any, spacing: str) -> Level
     names = zip(("skinning_ms", "boxes_ms", "view_ms"), PARTS, strict=True)
     spent = {name: 1e3 * session.seconds[part] for name, part in names}
     hand_over_ms = milliseconds(lambda: session.patches)
-    factor = np.asarray(factors.factor, np.float64)
     start = time.perf_counter()
-    if spacing == "equal":
-        inner, outer = factors.inner, factors.edges
-    else:
-        own = levels_for(factor, spacing)
-        inner, outer = np.repeat(own[:, None], 2, axis=1), edge_maxima(own, factors.edge_numbers)
+    inner, outer = levels_of(factors, spacing)
     spent |= {"levels_ms": 1e3 * (time.perf_counter() - start), "hand_over_ms": hand_over_ms}
     return Levels(session.patches, session.tangents, factors, inner, outer, spent)
 

@@ -190,9 +190,14 @@ def areas(look: Look) -> Row:
 
 def area_shares(triangles: Triangles, view: View) -> Row:
     """Shares of the triangles in front of the camera whose area on the screen is below each of ``AREAS``."""
+    area = areas_on_screen(triangles, view)
+    return {f"share_area_below_{limit:g}": float(np.mean(area < limit)) if len(area) else 0.0 for limit in AREAS}
+
+
+def areas_on_screen(triangles: Triangles, view: View) -> np.ndarray:
+    """Square pixels of the triangles in front of the camera, hidden or not."""
     clip = triangles.clip.astype(np.float64)
     clip = clip[np.all(clip[..., 3] > 0, axis=1)]
     corners = clip[..., :2] / clip[..., 3:] * np.array([view.width / 2, view.height / 2])
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    area = 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
-    return {f"share_area_below_{limit:g}": float(np.mean(area < limit)) if len(area) else 0.0 for limit in AREAS}
+    return 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])

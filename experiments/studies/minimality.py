@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 from dataclasses import asdict, dataclass, field
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import tyro
 
 from slefejax import Factors, GregoryPatches, Scene, View, pack
-from slefejax.errors import InputError
+from slefejax.experiments.levels import Edges, check_seen, levels_of
 from slefejax.experiments.options import (
     FigureOptions,
     LoadOptions,
@@ -43,7 +43,7 @@ from slefejax.predict.factors import predicted
 from slefejax.predict.factors import shaded as shaded_by
 from slefejax.predict.kernel import Prepared
 from slefejax.predict.methods import Request, Slefe, label_of
-from slefejax.tessellator.levels import MOST_LEVEL, with_pieces
+from slefejax.tessellator.levels import MOST_LEVEL
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Minimality:
     """A file (.obj, .usd…, .glb, …: the README lists them), or walker, teapot, twisted-quad, steep-patch."""
     scales: tuple[float, ...] = (1.0, 0.9, 0.8, 0.75, 0.7, 0.5)
     """What the predicted factors are multiplied by, one row each."""
-    edges: Literal["shared", "own"] = "shared"
+    edges: Edges = "shared"
     """Edge levels: the larger of the two neighbours', without cracks; or each patch's own, with cracks."""
     prediction: tyro.conf.OmitArgPrefixes[PredictionOptions] = field(default_factory=PredictionOptions)
     camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
@@ -115,10 +115,7 @@ def _predict(scene: Scene, view: View, request: Request, shaded: Shaded) -> tupl
         return factors, time.perf_counter() - start
 
     (factors, _), *others = [timed() for _ in range(6)]
-    if not np.any(np.asarray(factors.factor) > 0):
-        raise InputError(
-            "no patch is on the screen: turn the camera to the scene, or move it or its near and far planes"
-        )
+    check_seen(factors)
     return factors, 1e3 * float(np.median([seconds for _, seconds in others]))
 
 
@@ -145,11 +142,7 @@ class _Sweep:
 
     def levels(self, scale: float, factors: Factors | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Inner and outer levels at a scale."""
-        scaled = (factors or self.factors).scaled(scale)
-        if self.options.edges == "shared":
-            return scaled.inner, scaled.edges
-        own = np.repeat(scaled.levels[:, None], 4, axis=1)
-        return with_pieces(scaled.inner, own, np.arange(own.size).reshape(own.shape))
+        return levels_of((factors or self.factors).scaled(scale), edges=self.options.edges)
 
     def look(self, scale: float) -> _Scaled:
         """Render at a scale, and keep the picture."""

@@ -83,8 +83,13 @@ def write_normal_figure(page: Page, whole: Pictures, near: list[np.ndarray], fra
 
 def _stripes(axes: Any, picture: np.ndarray) -> None:
     """Background is white."""
-    axes.imshow(np.where(np.isnan(picture), 1.0, 0.15 + 0.75 * picture), cmap=GREY_MAP, vmin=0.0, vmax=1.0)
+    axes.imshow(np.where(np.isnan(picture), 1.0, stripe_greys(picture)), cmap=GREY_MAP, vmin=0.0, vmax=1.0)
     axes.set_axis_off()
+
+
+def stripe_greys(stripes: np.ndarray) -> np.ndarray:
+    """Of stripes, 0 to 1: neither black nor the white of the background."""
+    return 0.15 + 0.75 * stripes
 
 
 @contextmanager

@@ -102,22 +102,47 @@ def normal_error(
     Raises InputError for a picture without normals, or of another size, and for tangents as ``Renderer`` does.
     """
     check_concrete("normal_error", patches, view, seen.u, seen.v, seen.patch, tangents)
-    own: Any = on_host(check_patches(patches, gregory=True))
-    nets = tangent_nets(own, kind_of_normals(normals), tangents)
+    tangent_nets(on_host(check_patches(patches, gregory=True)), kind_of_normals(normals), tangents)
     if getattr(seen, "normal", None) is None:
         raise InputError("the picture has no normals: draw it with Renderer(patches, normals=True)")
     if seen.patch.shape != (view.height, view.width):
         raise InputError(f"a picture of {view.height} rows and {view.width} columns is needed, not {seen.patch.shape}")
     at = np.nonzero(seen.patch >= 0)
     error = np.full(seen.patch.shape, np.nan)
+    exact, drawn = exact_normals(patches, seen, normals, tangents)[at], seen.normal[at].astype(np.float64)
+    sine = np.linalg.norm(np.cross(exact, drawn), axis=1)
+    error[at] = np.rad2deg(np.arctan2(sine, np.sum(exact * drawn, axis=1)))
+    return error
+
+
+def exact_normals(
+    patches: Patches, seen: Any, normals: str = "surface", tangents: Any = None
+) -> Float[np.ndarray, "height width 3"]:
+    """The exact unit normal at the (patch, u, v) of every pixel, in the scene's axes, float64.
+
+    patches, normals, tangents : as ``normal_error`` takes them
+    seen                       : a ``slefejax.gpu.GBuffer``, or anything with ``.u``, ``.v`` and ``.patch``
+    returns                    : along p_u x p_v whatever side is seen; NaN where nothing is, and where tangents span no
+                                 plane
+
+    Raises InputError for patch numbers that are not there, and for tangents as ``normal_error`` does.
+
+    >>> from types import SimpleNamespace
+    >>> square = np.array([[[[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0], [1.0, 1.0, 0.0]]]])
+    >>> half = np.full((1, 2), 0.5)
+    >>> exact_normals(square, SimpleNamespace(u=half, v=half, patch=np.array([[0, -1]]))).tolist()
+    [[[0.0, 0.0, 1.0], [nan, nan, nan]]]
+    """
+    check_concrete("exact_normals", patches, seen.u, seen.v, seen.patch, tangents)
+    own: Any = on_host(check_patches(patches, gregory=True))
+    nets = tangent_nets(own, kind_of_normals(normals), tangents)
+    at = np.nonzero(seen.patch >= 0)
+    found = np.full((*seen.patch.shape, 3), np.nan)
     if at[0].size:
         control = as_control(own) if nets is None else nets
         exact = _normals(control, len(own), seen.patch[at], seen.u[at], seen.v[at])
-        drawn = seen.normal[at].astype(np.float64)
-        sine = np.linalg.norm(np.cross(exact, drawn), axis=1)
-        angle = np.rad2deg(np.arctan2(sine, np.sum(exact * drawn, axis=1)))
-        error[at] = np.where(np.any(exact != 0, axis=1), angle, np.nan)
-    return error
+        found[at] = np.where(np.any(exact != 0, axis=1, keepdims=True), exact, np.nan)
+    return found
 
 
 def _normals(

@@ -1,0 +1,1 @@
+"""A scene as it is drawn, in many looks (docs/render.md)."""

@@ -1,0 +1,38 @@
+"""What a look is: what it needs of the renderer, and what it makes of a scene that was drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from slefejax.experiments.studies.look import Look
+from slefejax.figures.looks.page import Heading
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """A look of a scene.
+
+    shows    : what a heading says
+    draw     : writes the picture
+    channels : numbers of every pixel, ``(height, width)``, row 0 at the bottom, by names that end with their units; NaN
+               where there is none. None at all for a look that is a picture and nothing else
+    main     : the channel that a table sums up; none if it is empty
+    """
+
+    shows: str
+    draw: Callable[[Path, Heading], None]
+    channels: dict[str, np.ndarray] = field(default_factory=dict)
+    main: str = ""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of look: how it is made of what was drawn, and whether the renderer must draw normals or sides."""
+
+    make: Callable[[Look], Made]
+    normals: bool = False
+    wire: bool = False

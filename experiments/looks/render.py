@@ -1,0 +1,219 @@
+"""How a scene looks as it is drawn: shading, lines, errors, whatever is asked for, a picture each."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+import tyro
+
+from slefejax import Factors, InputError, Scene, View, tessellation_factors
+from slefejax.arguments import check_positive, no_such
+from slefejax.experiments.levels import Edges, Spacing, check_levels_are_real, check_seen, levels_of, unproved
+from slefejax.experiments.looks.checker import checker
+from slefejax.experiments.looks.exr import write_exr
+from slefejax.experiments.looks.light import reflection, shaded
+from slefejax.experiments.looks.made import Kind, Made
+from slefejax.experiments.looks.triangle_sizes import size_rows, triangle_size
+from slefejax.experiments.looks.values import depth, error, factors, normals
+from slefejax.experiments.looks.wire import wire
+from slefejax.experiments.options import (
+    LoadOptions,
+    OutputOptions,
+    PredictionOptions,
+    ViewOptions,
+    camera_record,
+)
+from slefejax.experiments.report import Report, progress
+from slefejax.experiments.shading import Shaded, ShadingOptions, unclaimed
+from slefejax.experiments.store import Row, Run, digest
+from slefejax.experiments.studies.look import Look, Shown
+from slefejax.experiments.studies.measures import largest
+from slefejax.experiments.tables import write_tables
+from slefejax.figures.looks.page import Heading
+from slefejax.gpu import Device, Renderer, open_device
+from slefejax.predict.methods import label_of
+from slefejax.tessellator.levels import triangle_counts
+
+LOOKS = {
+    "shaded": Kind(shaded, normals=True),
+    "wire": Kind(wire, normals=True, wire=True),
+    "error": Kind(error),
+    "normals": Kind(normals, normals=True),
+    "reflection": Kind(reflection, normals=True),
+    "factors": Kind(factors),
+    "depth": Kind(depth),
+    "checker": Kind(checker),
+    "triangle-size": Kind(triangle_size, wire=True),
+}
+SIZES = "triangle-size"
+_COLUMNS = ("look", "picture", "values", "median", "largest")
+
+
+@dataclass(frozen=True)
+class Render:
+    """Draw a scene with its predicted tessellation factors, in one look or several."""
+
+    scene: tyro.conf.Positional[str]
+    """A file (.obj, .usd…, .glb, …: the README lists them), or walker, teapot, twisted-quad, steep-patch."""
+    look: tuple[str, ...] = ("shaded", "wire", "error")
+    """What to show: shaded, wire, error, normals, reflection, factors, depth, checker, triangle-size; a picture
+    each."""
+    scale: float = 1.0
+    """What the predicted factors are multiplied by."""
+    edges: Edges = "shared"
+    """Edge levels: the larger of the two neighbours', without cracks; or each patch's own, with cracks."""
+    spacing: Spacing = "equal"
+    """How the tessellator places vertices; fractional ones move with the factor instead of coming and going."""
+    format: Literal["png", "exr"] = "png"
+    """exr: beside every picture the numbers that it shows, 32-bit floats of every pixel."""
+    prediction: tyro.conf.OmitArgPrefixes[PredictionOptions] = field(default_factory=PredictionOptions)
+    camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
+    loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
+    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def run(self) -> Report:
+        """Predict, draw once, and make every look of that."""
+        looks = self._looks()
+        scene = self.loading.load(self.scene)
+        view = self.camera.view(scene)
+        shown = _shown(scene, view, self.prediction)
+        predicted = self._factors(shown)
+        device = open_device()
+        arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
+        inputs = {"scene": digest(scene.patches().tobytes()), "opengl": device.renderer}
+        with Run("render", arguments, self.output.out, inputs) as run:
+            own = _Drawn(self, shown, predicted, device, run)
+            with progress("drawing", len(looks)) as show:
+                rows = run.each("look", looks, own.row, show, _picture, _COLUMNS)
+            sizes = size_rows(own.look) if SIZES in looks else []
+            if sizes:
+                write_tables(run.file("."), "triangle_sizes", sizes)
+            notes = (*scene.notes, *unclaimed(predicted.without_normal), *own.notes(rows))
+            record = {
+                "scene": scene.name,
+                "notes": notes,
+                "opengl": {"renderer": device.renderer, "version": device.version},
+                "triangles": own.triangles,
+                "covered_pixels": own.covered,
+                "left_out": self.prediction.left_out(scene),
+            }
+            out = run.finish(rows, record)
+        extra = {name: record[name] for name in ("triangles", "covered_pixels")}
+        extra |= {"first": str(out / rows[0]["picture"])} | ({"triangle_sizes": sizes} if sizes else {})
+        title = f"{scene.name}: {own.how}; {own.covered:,} pixels are covered"
+        more = (("triangles by their area on the screen", sizes),)
+        first = rows[0]["picture"]
+        return Report(scene.name, out, rows, title, notes, extra, self.output.json, more=more, first=first)
+
+    def _looks(self) -> list[str]:
+        """Those that are asked for, each once."""
+        check_positive("scale", self.scale)
+        check_levels_are_real(self.prediction, self.spacing)
+        if not self.look:
+            raise InputError(f"--look needs at least one of {', '.join(LOOKS)}")
+        unknown = [name for name in self.look if name not in LOOKS]
+        if unknown:
+            raise InputError(no_such("look", unknown[0], LOOKS))
+        return list(dict.fromkeys(self.look))
+
+    def _factors(self, shown: Shown) -> Factors:
+        """Predicted ones, scaled."""
+        asked = _asked(self.prediction).arguments()
+        found = tessellation_factors(
+            shown.patches, shown.view, edge_numbers=shown.scene.edge_numbers, tangents=shown.shaded.tangents, **asked
+        )
+        check_seen(found)
+        shown.heard(found)
+        return found.scaled(self.scale)
+
+
+def _asked(prediction: PredictionOptions) -> PredictionOptions:
+    """The same for factors: which normals are drawn may be said without a tolerance for them."""
+    if prediction.shading.normal_tolerance is not None:
+        return prediction
+    return replace(prediction, shading=ShadingOptions())
+
+
+def _shown(scene: Scene, view: View, prediction: PredictionOptions) -> Shown:
+    own = prediction.shading
+    tangents = scene.tangents() if own.normals == "tangents" else None
+    return Shown(scene, view, prediction.tolerance, shaded=Shaded(own.normal_tolerance, own.normals, tangents))
+
+
+def _picture(look: str) -> str:
+    return f"{look}.png"
+
+
+@dataclass
+class _Drawn:
+    """The scene, drawn once with all that the looks need."""
+
+    options: Render
+    shown: Shown
+    factors: Factors
+    device: Device
+    run: Run
+
+    @cached_property
+    def look(self) -> Look:
+        """What was drawn. Raises InputError where nothing is seen."""
+        kinds = [LOOKS[name] for name in self.options.look]
+        normals, tangents = self.shown.shaded.kind
+        drawn: dict[str, Any] = {"wire": any(kind.wire for kind in kinds)}
+        if any(kind.normals for kind in kinds):
+            drawn |= {"normals": normals, "tangents": tangents}
+        renderer = Renderer(self.shown.patches, self.device, self.options.spacing, **drawn)
+        inner, outer = levels_of(self.factors, self.options.spacing, self.options.edges)
+        view, spacing = self.shown.view, self.options.spacing
+        found = Look(self.shown.patches, view, renderer, inner, outer, spacing, factors=self.factors, shown=self.shown)
+        if not (found.seen.patch >= 0).any():
+            raise InputError("the picture is empty: no pixel centre is covered by the scene")
+        return found
+
+    @property
+    def triangles(self) -> int:
+        """How many were made."""
+        return int(triangle_counts(self.look.inner, self.look.outer, self.options.spacing).sum())
+
+    @property
+    def covered(self) -> int:
+        """Pixels that show the scene."""
+        return int(np.count_nonzero(self.look.seen.patch >= 0))
+
+    @property
+    def how(self) -> str:
+        """How it was drawn, in words."""
+        options, view = self.options, self.shown.view
+        method = label_of(options.prediction.value())
+        parts = [f"{method}, {options.prediction.asked}", f"scale {options.scale:g}"]
+        parts += [f"{options.spacing} spacing"] * (options.spacing != "equal")
+        parts += ["each patch's own edges"] * (options.edges == "own")
+        return f"{', '.join(parts)}: {self.triangles:,} triangles, {view.width} x {view.height} pixels"
+
+    def row(self, name: str) -> Row:
+        """Make a look, and write its picture and its numbers."""
+        made = LOOKS[name].make(self.look)
+        made.draw(self.run.file(_picture(name)), Heading(self.shown.scene.name, made.shows, self.how))
+        if made.channels and self.options.format == "exr":
+            texts = {"scene": self.shown.scene.name, "look": name, "shows": made.shows, "how": self.how}
+            write_exr(self.run.file(f"{name}.exr"), made.channels, texts)
+        return {"picture": _picture(name), **_summary(made)}
+
+    def notes(self, rows: list[Row]) -> tuple[str, ...]:
+        """What to know of the pictures."""
+        plain = ", ".join(row["look"] for row in rows if not row["values"])
+        said = unproved(self.options.prediction.value(), self.options.spacing)
+        if plain and self.options.format == "exr":
+            said += (f"no .exr file of what has no numbers: {plain}",)
+        return said
+
+
+def _summary(made: Made) -> Row:
+    """Which numbers there are, and the middle and the largest of the main ones."""
+    values = made.channels.get(made.main, np.array([np.nan]))
+    known = values[~np.isnan(values)]
+    median = float(np.median(known)) if known.size else float("nan")
+    return {"values": ", ".join(made.channels), "median": median, "largest": largest(values)}
