@@ -18,8 +18,8 @@ def checker(look: Look) -> Made:
     """Squares of u and v; where parameters are off, they are bent."""
     seen = look.seen
     there = seen.patch >= 0
-    channels = {name: np.where(there, own, np.float32(np.nan)) for name, own in (("u", seen.u), ("v", seen.v))}
-    channels["patch"] = seen.patch.astype(np.float32)  # exact: there are fewer than 2^24
+    numbers = {"u": seen.u, "v": seen.v, "patch": seen.patch.astype(np.float32)}  # exact: there are fewer than 2^24
+    channels = {name: np.where(there, own, np.float32(np.nan)) for name, own in numbers.items()}
     draw = partial(write_checker, squares=squares(seen), label=f"a square is 1/{SQUARES} of a patch wide")
     return Made("the parameters u and v of every patch, as drawn", draw, channels)
 

@@ -122,8 +122,9 @@ class Render:
     def _factors(self, shown: Shown) -> Factors:
         """Predicted ones, scaled."""
         asked = _asked(self.prediction).arguments()
+        tangents = shown.shaded.tangents if shown.shaded else None
         found = tessellation_factors(
-            shown.patches, shown.view, edge_numbers=shown.scene.edge_numbers, tangents=shown.shaded.tangents, **asked
+            shown.patches, shown.view, edge_numbers=shown.scene.edge_numbers, tangents=tangents, **asked
         )
         check_seen(found)
         shown.heard(found)

@@ -28,14 +28,14 @@ def normals(look: Look) -> Made:
     assert look.seen.normal is not None
     channels = {"normal_error_deg": angle}
     channels |= {f"normal_{axis}": look.seen.normal[..., k] for k, axis in enumerate("xyz")}
-    draw = partial(write_values, values=angle, label="between drawn and exact normals, degrees", part=_MOST)
+    draw = partial(write_values, values=angle, label="between drawn and\nexact normals, degrees", part=_MOST)
     return Made(shows, draw, channels, "normal_error_deg")
 
 
 def depth(look: Look) -> Made:
     """Window depth."""
     found = np.where(look.seen.patch >= 0, look.seen.depth, np.float32(np.nan))
-    draw = partial(write_values, values=found, label="window depth: 0 at the near, 1 at the far plane")
+    draw = partial(write_values, values=found, label="window depth\n(near plane 0, far plane 1)")
     return Made("window depth", draw, {"depth": found}, "depth")
 
 
@@ -43,5 +43,5 @@ def factors(look: Look) -> Made:
     """The factor of the patch that is seen."""
     of_patches = np.append(np.asarray(look.with_factors.factor, float), np.nan)
     found = of_patches[look.seen.patch]
-    draw = partial(write_values, values=found, label="factor: pieces along each side")
+    draw = partial(write_values, values=found, label="factor:\npieces along each side")
     return Made("the tessellation factor of every patch", draw, {"factor": found}, "factor")

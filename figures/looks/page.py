@@ -17,6 +17,7 @@ _MARGIN, _GAP = 16, 24  # pixels
 _NARROWEST = 560  # pixels of a page
 _LINE, _LETTER = 21, 7.9  # pixels of a line of a heading, and of a letter
 _TITLE = 26  # pixels above a picture that has one
+_FOOT = 64  # pixels below what stands beside a picture, for its labels
 
 
 class Heading(NamedTuple):
@@ -30,13 +31,14 @@ class Heading(NamedTuple):
 class Page(NamedTuple):
     """The figure, its panels, and what of every picture they show.
 
-    crop : rows and columns;  below, right : room for a legend or a colour bar, (left, bottom, width, height) in pixels
+    crop  : rows and columns
+    below : pixels for a legend;  right : room for a colour bar, (left, bottom, width, height) in pixels
     """
 
     figure: Figure
     panels: list[Any]
     crop: tuple[slice, slice]
-    below: tuple[float, float, float, float]
+    below: int
     right: tuple[float, float, float, float]
 
     def beside(self) -> Any:
@@ -48,10 +50,8 @@ class Page(NamedTuple):
         return self.panels[number].imshow(image[self.crop], origin="lower", interpolation="nearest", **how)
 
     def legend(self, handles: list[Any], columns: int, title: str = "") -> None:
-        """Below the pictures, in their middle."""
-        left, bottom, width, height = self.below
-        size = self.figure.get_size_inches() * _DPI
-        place = (float((left + width / 2) / size[0]), float((bottom + height / 2) / size[1]))
+        """Below the pictures."""
+        place = (0.5, float(0.5 * self.below / (self.figure.get_size_inches()[1] * _DPI)))
         plain: dict[str, Any] = {"frameon": False, "title": title or None}
         self.figure.legend(handles=handles, loc="center", bbox_to_anchor=place, ncols=columns, **plain)
 
@@ -80,8 +80,8 @@ def page(heading: Heading, there: np.ndarray, titles: tuple[str, ...] = ("",), r
         own.set_title(title)
         panels.append(own)
     figure.text(0.5, 1.0 - 0.5 * _MARGIN / size[1], words, ha="center", va="top", fontsize=12, linespacing=1.25)
-    beside = (left + inside + _GAP / 2, bottom + 0.1 * height, 16.0, 0.8 * height)
-    return Page(figure, panels, crop, (left, 0.0, inside, below), beside)
+    beside = (left + inside + _GAP / 2, bottom + _FOOT, 16.0, max(height - 1.5 * _FOOT, _FOOT))
+    return Page(figure, panels, crop, below, beside)
 
 
 def _axes(figure: Figure, box: tuple[float, float, float, float]) -> Any:

@@ -16,7 +16,7 @@ from slefejax.figures.style import BACKGROUND, CHECKER, ERROR_CLASSES, FACTOR_MA
 
 _PLAIN = {**SETTINGS, "axes.grid": False}
 _LEGEND = 34  # pixels of a line of a legend
-_BAR, _BARS = 110, 170  # pixels of a colour bar with its label, and of two bars with shares
+_BAR, _BARS = 130, 170  # pixels of a colour bar with its label, and of two bars with shares
 
 
 def write_values(path: Path, heading: Heading, values: np.ndarray, label: str, part: float = 1.0) -> None:
