@@ -25,8 +25,8 @@ class ShadingOptions:
     """Of certified: angle in degrees that is allowed between interpolated and exact normals; not looked at if not
     given."""
     normals: Literal["surface", "tangents"] = "surface"
-    """Which normals --normal-tolerance is for: the surface's own, or those of tangent patches, which control meshes
-    have."""
+    """Which normals --normal-tolerance is for, and render draws: the surface's own, or those of tangent patches, which
+    control meshes have."""
 
     @property
     def degrees(self) -> float | None:

@@ -98,7 +98,7 @@ class Render:
                 "opengl": {"renderer": device.renderer, "version": device.version},
                 "triangles": own.triangles,
                 "covered_pixels": own.covered,
-                "left_out": self.prediction.left_out(scene),
+                "left_out": _asked(self.prediction).left_out(scene),
             }
             out = run.finish(rows, record)
         extra = {name: record[name] for name in ("triangles", "covered_pixels")}
@@ -189,7 +189,7 @@ class _Drawn:
         """How it was drawn, in words."""
         options, view = self.options, self.shown.view
         method = label_of(options.prediction.value())
-        parts = [f"{method}, {options.prediction.asked}", f"scale {options.scale:g}"]
+        parts = [f"{method}, {_asked(options.prediction).asked}", f"scale {options.scale:g}"]
         parts += [f"{options.spacing} spacing"] * (options.spacing != "equal")
         parts += ["each patch's own edges"] * (options.edges == "own")
         return f"{', '.join(parts)}: {self.triangles:,} triangles, {view.width} x {view.height} pixels"
