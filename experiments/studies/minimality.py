@@ -12,6 +12,8 @@ import tyro
 
 from slefejax import Factors, GregoryPatches, Scene, View, pack
 from slefejax.experiments.levels import Edges, check_seen, levels_of
+from slefejax.experiments.looks.light import lit
+from slefejax.experiments.looks.wire import lines
 from slefejax.experiments.options import (
     FigureOptions,
     LoadOptions,
@@ -36,7 +38,7 @@ from slefejax.experiments.studies.measures import (
 )
 from slefejax.experiments.studies.study import Case, Study
 from slefejax.figures.error_image import write_error_image
-from slefejax.figures.studies.minimality import write_factor_map, write_minimality_figure
+from slefejax.figures.studies.minimality import Wire, write_factor_map, write_minimality_figure
 from slefejax.gpu import Renderer, open_device
 from slefejax.gpu.renderer import check_levels
 from slefejax.predict.factors import predicted
@@ -166,8 +168,18 @@ class _Sweep:
         labels = _labels(patch, np.asarray(self.factors.factor, float))
         images = [self.run.file(error_name(row["scale"])) for row in rows]
         shown = (painted, labels, self.shown.scene.name, self.options.prediction.asked)
-        write_minimality_figure(self.run.figure("minimality"), rows, images, *shown)
+        write_minimality_figure(self.run.figure("minimality"), rows, images, *shown, self.wire())
         write_factor_map(self.run.figure("factors"), *shown)
+
+    def wire(self) -> Wire:
+        """The triangles of scale 1, or of the largest, as lines over shading."""
+        scales = self.options.scales
+        scale = 1.0 if 1.0 in scales else max(scales)
+        renderer = Renderer(self.shown.patches, self.renderer.device, normals=True, wire=True)
+        seen = renderer.draw(self.shown.view, *self.levels(scale))
+        renderer.release()
+        assert seen.normal is not None
+        return Wire(scale, lit(seen.normal.astype(np.float64), self.shown.view), lines(seen))
 
 
 def error_name(scale: float) -> str:

@@ -52,7 +52,13 @@ class Page(NamedTuple):
     def legend(self, handles: list[Any], columns: int, title: str = "") -> None:
         """Below the pictures."""
         place = (0.5, float(0.5 * self.below / (self.figure.get_size_inches()[1] * _DPI)))
-        plain: dict[str, Any] = {"frameon": False, "title": title or None, "columnspacing": 1.2, "handlelength": 1.5, "fontsize": 11}
+        plain: dict[str, Any] = {
+            "frameon": False,
+            "title": title or None,
+            "columnspacing": 1.2,
+            "handlelength": 1.5,
+            "fontsize": 11,
+        }
         self.figure.legend(handles=handles, loc="center", bbox_to_anchor=place, ncols=columns, **plain)
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from slefejax.figures.error_image import read_error_image
+from slefejax.figures.looks.pictures import wired
 from slefejax.figures.page import Page
 from slefejax.figures.style import (
     FACTOR_MAP,
@@ -27,6 +28,14 @@ from slefejax.figures.style import (
 
 Box = tuple[slice, slice]
 Label = tuple[float, float, str]
+
+
+class Wire(NamedTuple):
+    """The triangles of a scale: grey and lines as ``figures.looks.pictures.wired`` takes them."""
+
+    scale: float
+    grey: np.ndarray
+    lines: np.ndarray
 
 
 def write_factor_map(page: Page, factor: np.ndarray, labels: list[Label], scene: str, asked: str) -> None:
@@ -50,8 +59,12 @@ def write_minimality_figure(
     labels: list[Label],
     scene: str,
     asked: str,
+    wire: Wire,
 ) -> None:
-    """Everything on one page. ``rows`` and ``images``: one a scale each; the others: ``write_factor_map``."""
+    """Everything on one page. ``rows`` and ``images``: one a scale each; the others: ``write_factor_map``.
+
+    wire : the triangles of one scale
+    """
     columns = min(3, len(rows))
     lines = -(-len(rows) // columns)
     box = occupied(~np.isnan(factor))
@@ -63,10 +76,11 @@ def write_minimality_figure(
         f" {first['patches']:,} patches rendered, and each pixel compared with the exact surface: how far is it from"
         " where its texture belongs?"
     )
-    with drawing(page, 15, sum(heights), title) as figure:
+    with drawing(page, 18, sum(heights), title) as figure:
         top, bottom = figure.subfigures(2, 1, height_ratios=heights)
-        left, right = top.subfigures(1, 2, width_ratios=[1.25, 1])
+        left, middle, right = top.subfigures(1, 3, width_ratios=[1.15, 1.0, 0.8])
         _paint_factors(left, factor, labels, box)
+        _show_wire(middle, wire, box)
         _plot_shares(right, rows)
         grid = np.ravel(bottom.subplots(lines, columns))
         for axes, row, image in zip(grid, rows, images, strict=False):
@@ -88,6 +102,12 @@ def _paint_factors(part: Any, factor: np.ndarray, labels: list[Label], box: Box)
         on_picture(axes, (column - box[1].start, row - box[0].start), text)
     bare(axes, "predicted tessellation factor of each patch, before scaling")
     part.colorbar(picture, ax=axes, shrink=0.85, label="factor: pieces along each side")
+
+
+def _show_wire(part: Any, wire: Wire, box: Box) -> None:
+    axes = part.subplots()
+    axes.imshow(wired(wire.grey, wire.lines)[box], origin="lower", interpolation="antialiased")
+    bare(axes, f"the triangles that are drawn, scale {wire.scale:g}")
 
 
 def _plot_shares(part: Any, rows: list[dict[str, Any]]) -> None:
