@@ -52,6 +52,7 @@ def test_every_look(device, capsys, teapot):
     levels = np.full((32, 6), 5)
     view = View(teapot.default_camera(), 180, 120)
     seen = Renderer(teapot.patches(), device, wire=True).draw(view, levels[:, :2], levels[:, 2:])
+    assert seen.area is not None
     there, channels = seen.patch >= 0, {}
     for name in WITH_NUMBERS:
         found, texts = read_exr(Path(out) / f"{name}.exr")
