@@ -201,7 +201,7 @@ class FigureOptions(OutputOptions):
 
     def pages(self, command: Any) -> Pages:
         """What the figures of that command have in common."""
-        return Pages(self.format, f"slefejax {slefejax.__version__}: {' '.join(words_of(command))}")
+        return Pages(self.format, caption_of(command))
 
 
 @dataclass(frozen=True)
@@ -307,6 +307,11 @@ def own_modules(*names: str) -> Iterator[None]:
         yield
     finally:
         sys.path.remove(here)
+
+
+def caption_of(command: Any) -> str:
+    """What figures of a command say of how they were made."""
+    return f"slefejax {slefejax.__version__}: {' '.join(words_of(command))}"
 
 
 _POSITIONAL = ("scene", "scenes")

@@ -38,8 +38,7 @@ DIVERGING_MAP = "RdBu_r"
 GREY_MAP = "gray"
 ORDERED_MAP = "cividis"
 # Triangles by area, small to large, blue, green, red and white in [YBP12]: here the background is white
-SIZE_COLOURS = ("#4a7fc1", "#2fa36b", "#c81e1e", "#e4e0d8")
-WIRE = "#101820"  # lines of a wireframe
+SIZE_COLOURS = (*(colour for _, colour, _ in ERROR_CLASSES[1:]), "#e4e0d8")
 CHECKER = ("#f2efe9", "#3f5f7f")
 
 # For the colour-blind [OI]; with the marks they tell series apart, and patterns tell bars apart where colours repeat
@@ -185,6 +184,11 @@ def bare(axes: Any, title: str = "") -> None:
     axes.grid(visible=False)
     for spine in axes.spines.values():
         spine.set_visible(False)
+
+
+def show_pixels(axes: Any, image: np.ndarray, **how: Any) -> Any:
+    """A picture, row 0 at the bottom, as large as fits whose pixels are squares of whole pixels of the page."""
+    return axes.imshow(image, origin="lower", interpolation="nearest", gid="whole pixels", **how)
 
 
 def hide_rest(grid: Any, used: int) -> None:

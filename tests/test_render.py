@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
 from slefejax import NoOpenGLError, View, drawn_error, exact_normals, tessellation_factors
@@ -19,9 +20,12 @@ from slefejax.experiments.looks import render
 from slefejax.experiments.looks.checker import squares
 from slefejax.experiments.looks.light import lit
 from slefejax.experiments.looks.triangle_sizes import CLASSES, size_rows
+from slefejax.experiments.store import open_first
 from slefejax.figures.error_image import error_colours
-from slefejax.figures.looks.page import Heading
+from slefejax.figures.looks.panels import Heading
 from slefejax.figures.looks.pictures import wired, write_errors, write_values
+from slefejax.figures.page import Page
+from slefejax.figures.style import ERROR_CLASSES
 from slefejax.gpu import GBuffer, Renderer
 from tests.tables import TABLES
 from tests.test_cli import SMALL, in_an_empty_folder, run_json  # noqa: F401
@@ -43,7 +47,7 @@ def test_every_look(device, capsys, teapot):
     names = {f"{name}.png" for name in render.LOOKS} | {f"{name}.exr" for name in WITH_NUMBERS} | {"run.json"}
     sizes = {name.replace("table", "triangle_sizes") for name in TABLES}
     assert set(os.listdir(out)) == names | TABLES | sizes
-    assert result["first"] == f"{out}/shaded.png"
+    assert open_first(Path(out)).name == "shaded.png"
     assert list(rows) == list(render.LOOKS)
     assert "no .exr file of what has no numbers: shaded, reflection" in result["notes"]
     for name in render.LOOKS:
@@ -84,7 +88,8 @@ def test_a_picture_shows_every_pixel(device, capsys, teapot):
     seen = Renderer(teapot.patches(), device).draw(view, levels[:, :2], levels[:, 2:])
     wanted = error_colours(drawn_error(teapot.patches(), view, seen))
     shown = np.round(255 * imread(f"{result['out']}/error.png")[..., :3]).astype(np.uint8)
-    blues = [np.all(own == wanted[wanted[..., 2] == 193][0], axis=-1) for own in (shown, wanted)]
+    blue = np.round(255 * np.array(to_rgb(ERROR_CLASSES[1][1]))).astype(np.uint8)
+    blues = [np.all(own == blue, axis=-1) for own in (shown, wanted)]
     rows, columns = (np.flatnonzero(blues[0].any(axis=axis)) for axis in (1, 0))
     zoom = round(np.ptp(rows[rows < 0.9 * len(shown)]) / np.ptp(np.flatnonzero(blues[1].any(axis=1))))
     assert zoom >= 2
@@ -100,9 +105,10 @@ def test_a_picture_shows_every_pixel(device, capsys, teapot):
 def test_the_last_line_names_what_to_open(device, capsys):
     assert main(["render", "teapot", *QUICK, "--look", "wire", "wire"]) == 0
     last = capsys.readouterr().out.splitlines()[-1]
-    assert last.startswith("Open first: runs/render/")
-    assert last.endswith("/wire.png")
-    assert os.path.getsize(last.removeprefix("Open first: ")) > 1000
+    folder, name = last.removeprefix("Results are in ").removesuffix(" first").split(": open ")
+    assert folder.startswith("runs/render/") or Path(folder).parent.name == "render"
+    assert name == "wire.png"
+    assert os.path.getsize(f"{folder}/{name}") > 1000
 
 
 @pytest.mark.gl
@@ -264,11 +270,11 @@ def test_pictures_of_almost_nothing(tmp_path):
     heading = Heading("one", "a pixel", "as it is")
     value = np.full((3, 4), np.nan)
     value[1, 2] = 7.0
-    write_values(tmp_path / "one.png", heading, value, "px")
+    write_values(Page(tmp_path / "one.png"), heading, value, "px")
     value[0, 0] = np.inf
-    write_errors(tmp_path / "two.png", heading, value)
+    write_errors(Page(tmp_path / "two.png"), heading, value)
     for name in ("one.png", "two.png"):
-        assert imread(tmp_path / name).shape[1] >= 560
+        assert imread(tmp_path / name).shape[1] >= 480
     assert wired(np.array([[np.nan, 0.5]]), np.array([[0.0, 1.0]]))[0, 0].tolist() == [1.0, 1.0, 1.0]
 
 

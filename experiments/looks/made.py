@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
 from slefejax.experiments.studies.look import Look
-from slefejax.figures.looks.page import Heading
+from slefejax.figures.looks.panels import Heading
+from slefejax.figures.page import Page
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +24,7 @@ class Made:
     """
 
     shows: str
-    draw: Callable[[Path, Heading], None]
+    draw: Callable[[Page, Heading], None]
     channels: dict[str, np.ndarray] = field(default_factory=dict)
     main: str = ""
 

@@ -25,6 +25,7 @@ from slefejax.experiments.options import (
     PredictionOptions,
     ViewOptions,
     camera_record,
+    caption_of,
 )
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.shading import Shaded, ShadingOptions, unclaimed
@@ -32,7 +33,8 @@ from slefejax.experiments.store import Row, Run, digest
 from slefejax.experiments.studies.look import Look, Shown
 from slefejax.experiments.studies.measures import largest
 from slefejax.experiments.tables import write_tables
-from slefejax.figures.looks.page import Heading
+from slefejax.figures.looks.panels import Heading
+from slefejax.figures.page import Format, Pages
 from slefejax.gpu import Device, Renderer, open_device
 from slefejax.predict.methods import label_of
 from slefejax.tessellator.levels import triangle_counts
@@ -53,6 +55,19 @@ _COLUMNS = ("look", "picture", "values", "median", "largest")
 
 
 @dataclass(frozen=True)
+class LookOptions(OutputOptions):
+    """Where results go, as pictures alone or as numbers, too."""
+
+    format: Format | Literal["exr"] = "png"
+    """Of pictures: png, or pdf and svg for papers; exr: png, and beside every picture the numbers that it shows, 32-bit
+    floats of every pixel."""
+
+    def pages(self, command: Any) -> Pages:
+        """What the pictures have in common."""
+        return Pages("png" if self.format == "exr" else self.format, caption_of(command))
+
+
+@dataclass(frozen=True)
 class Render:
     """Draw a scene with its predicted tessellation factors, in one look or several."""
 
@@ -67,12 +82,10 @@ class Render:
     """Edge levels: the larger of the two neighbours', without cracks; or each patch's own, with cracks."""
     spacing: Spacing = "equal"
     """How the tessellator places vertices; fractional ones move with the factor instead of coming and going."""
-    format: Literal["png", "exr"] = "png"
-    """exr: beside every picture the numbers that it shows, 32-bit floats of every pixel."""
     prediction: tyro.conf.OmitArgPrefixes[PredictionOptions] = field(default_factory=PredictionOptions)
     camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
     loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
-    output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+    output: tyro.conf.OmitArgPrefixes[LookOptions] = field(default_factory=LookOptions)
 
     def run(self) -> Report:
         """Predict, draw once, and make every look of that."""
@@ -82,12 +95,12 @@ class Render:
         shown = _shown(scene, view, self.prediction)
         predicted = self._factors(shown)
         device = open_device()
-        arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
+        arguments = {**asdict(self), "output": None, "format": self.output.format, "camera": camera_record(view)}
         inputs = {"scene": digest(scene.patches().tobytes()), "opengl": device.renderer}
-        with Run("render", arguments, self.output.out, inputs) as run:
+        with Run("render", arguments, self.output.out, inputs, self.output.pages(self)) as run:
             own = _Drawn(self, shown, predicted, device, run)
             with progress("drawing", len(looks)) as show:
-                rows = run.each("look", looks, own.row, show, _picture, _COLUMNS)
+                rows = run.each("look", looks, own.row, show, own.picture, _COLUMNS)
             sizes = size_rows(own.look) if SIZES in looks else []
             if sizes:
                 write_tables(run.file("."), "triangle_sizes", sizes)
@@ -102,11 +115,10 @@ class Render:
             }
             out = run.finish(rows, record)
         extra = {name: record[name] for name in ("triangles", "covered_pixels")}
-        extra |= {"first": str(out / rows[0]["picture"])} | ({"triangle_sizes": sizes} if sizes else {})
+        extra |= {"triangle_sizes": sizes} if sizes else {}
         title = f"{scene.name}: {own.how}; {own.covered:,} pixels are covered"
         more = (("triangles by their area on the screen", sizes),)
-        first = rows[0]["picture"]
-        return Report(scene.name, out, rows, title, notes, extra, self.output.json, more=more, first=first)
+        return Report(scene.name, out, rows, title, notes, extra, self.output.json, more=more)
 
     def _looks(self) -> list[str]:
         """Those that are asked for, each once."""
@@ -142,10 +154,6 @@ def _shown(scene: Scene, view: View, prediction: PredictionOptions) -> Shown:
     own = prediction.shading
     tangents = scene.tangents() if own.normals == "tangents" else None
     return Shown(scene, view, prediction.tolerance, shaded=Shaded(own.normal_tolerance, own.normals, tangents))
-
-
-def _picture(look: str) -> str:
-    return f"{look}.png"
 
 
 @dataclass
@@ -194,20 +202,24 @@ class _Drawn:
         parts += ["each patch's own edges"] * (options.edges == "own")
         return f"{', '.join(parts)}: {self.triangles:,} triangles, {view.width} x {view.height} pixels"
 
+    def picture(self, name: str) -> str:
+        """The name of the picture of a look."""
+        return self.run.figure(name).path.name
+
     def row(self, name: str) -> Row:
         """Make a look, and write its picture and its numbers."""
         made = LOOKS[name].make(self.look)
-        made.draw(self.run.file(_picture(name)), Heading(self.shown.scene.name, made.shows, self.how))
-        if made.channels and self.options.format == "exr":
+        made.draw(self.run.figure(name), Heading(self.shown.scene.name, made.shows, self.how))
+        if made.channels and self.options.output.format == "exr":
             texts = {"scene": self.shown.scene.name, "look": name, "shows": made.shows, "how": self.how}
             write_exr(self.run.file(f"{name}.exr"), made.channels, texts)
-        return {"picture": _picture(name), **_summary(made)}
+        return {"picture": self.picture(name), **_summary(made)}
 
     def notes(self, rows: list[Row]) -> tuple[str, ...]:
         """What to know of the pictures."""
         plain = ", ".join(row["look"] for row in rows if not row["values"])
         said = unproved(self.options.prediction.value(), self.options.spacing)
-        if plain and self.options.format == "exr":
+        if plain and self.options.output.format == "exr":
             said += (f"no .exr file of what has no numbers: {plain}",)
         return said
 
