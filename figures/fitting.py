@@ -108,7 +108,8 @@ def finish(figure: Any, part: Any) -> None:
         for text, room in ((axes.title, across), (axes.xaxis.label, across), (axes.yaxis.label, up)):
             text.set_text(wrapped(text.get_text(), max(room, _LEAST_ROOM), text.get_size()))
     figure.draw_without_rendering()
-    _to_whole_pixels(figure, part)
+    figure.set_layout_engine("none")  # from here on nothing moves by itself
+    _to_whole_pixels(part)
     _keep_clear(figure, part)
 
 
@@ -116,12 +117,11 @@ def _all_axes(part: Any) -> list[Any]:
     return part.axes + [axes for own in part.subfigs for axes in _all_axes(own)]
 
 
-def _to_whole_pixels(figure: Any, part: Any) -> None:
-    """Pictures that ask for it get a whole number of the page's pixels for each of theirs; nothing moves after that."""
-    shown = [axes for axes in _all_axes(part) if any(image.get_gid() == "whole pixels" for image in axes.images)]
-    if shown:
-        figure.set_layout_engine("none")
-    for axes in shown:
+def _to_whole_pixels(part: Any) -> None:
+    """Pictures that ask for it get a whole number of the page's pixels for each of theirs."""
+    for axes in _all_axes(part):
+        if not any(image.get_gid() == "whole pixels" for image in axes.images):
+            continue
         rows, columns = axes.images[0].get_size()
         within, whole = axes.get_position(original=True), axes.figure.transSubfigure
         place = within.transformed(whole)

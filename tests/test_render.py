@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
 from slefejax import NoOpenGLError, View, drawn_error, exact_normals, tessellation_factors
@@ -25,7 +24,6 @@ from slefejax.figures.error_image import error_colours
 from slefejax.figures.looks.panels import Heading
 from slefejax.figures.looks.pictures import wired, write_errors, write_values
 from slefejax.figures.page import Page
-from slefejax.figures.style import ERROR_CLASSES
 from slefejax.gpu import GBuffer, Renderer
 from tests.tables import TABLES
 from tests.test_cli import SMALL, in_an_empty_folder, run_json  # noqa: F401
@@ -36,21 +34,25 @@ from tests.test_scene import CUBE
 from tests.test_wire import above, square
 
 QUICK = [*SMALL, "--method", "fixed", "--setting", "5"]
-WITH_NUMBERS = set(render.LOOKS) - {"shaded", "reflection"}
+PICTURES = ("shaded", "reflection")  # and no numbers
+FEW = ("error", "factors", "depth", "checker", "triangle-size")
 
 
 @pytest.mark.gl
-def test_every_look(device, capsys, teapot):
+@pytest.mark.parametrize("looks", [FEW, pytest.param(tuple(render.LOOKS), marks=pytest.mark.slow)], ids=["few", "all"])
+def test_looks_and_their_numbers(device, capsys, teapot, looks):
     """Pictures, numbers of pixels and their summary; the numbers are those of the same levels drawn here."""
-    result = run_json(capsys, "render", "teapot", *QUICK, "--format", "exr", "--look", *render.LOOKS)
+    result = run_json(capsys, "render", "teapot", *QUICK, "--format", "exr", "--look", *looks)
     out, rows = result["out"], {row["look"]: row for row in result["rows"]}
-    names = {f"{name}.png" for name in render.LOOKS} | {f"{name}.exr" for name in WITH_NUMBERS} | {"run.json"}
+    numbers = [name for name in looks if name not in PICTURES]
+    names = {f"{name}.png" for name in looks} | {f"{name}.exr" for name in numbers} | {"run.json"}
     sizes = {name.replace("table", "triangle_sizes") for name in TABLES}
     assert set(os.listdir(out)) == names | TABLES | sizes
-    assert open_first(Path(out)).name == "shaded.png"
-    assert list(rows) == list(render.LOOKS)
-    assert "no .exr file of what has no numbers: shaded, reflection" in result["notes"]
-    for name in render.LOOKS:
+    assert open_first(Path(out)).name == f"{looks[0]}.png"
+    assert list(rows) == list(looks)
+    without = [name for name in looks if name in PICTURES]
+    assert (f"no .exr file of what has no numbers: {', '.join(without)}" in result["notes"]) == bool(without)
+    for name in looks:
         picture = imread(f"{out}/{name}.png")
         assert len(np.unique(picture.reshape(-1, picture.shape[2]), axis=0)) > 10, name
     levels = np.full((32, 6), 5)
@@ -58,7 +60,7 @@ def test_every_look(device, capsys, teapot):
     seen = Renderer(teapot.patches(), device, wire=True).draw(view, levels[:, :2], levels[:, 2:])
     assert seen.area is not None
     there, channels = seen.patch >= 0, {}
-    for name in WITH_NUMBERS:
+    for name in numbers:
         found, texts = read_exr(Path(out) / f"{name}.exr")
         assert texts["scene"] == ("string", b"teapot")
         assert b"scale 1" in texts["how"][1]
@@ -79,26 +81,19 @@ def test_every_look(device, capsys, teapot):
     assert sum(row["share_of_pixels"] for row in table) == pytest.approx(1.0)
 
 
-@pytest.mark.gl
-def test_a_picture_shows_every_pixel(device, capsys, teapot):
-    """Enlarged by a whole number: so many squares of each colour as there are pixels."""
-    result = run_json(capsys, "render", "teapot", *QUICK, "--look", "error")
-    levels = np.full((32, 6), 5)
-    view = View(teapot.default_camera(), 180, 120)
-    seen = Renderer(teapot.patches(), device).draw(view, levels[:, :2], levels[:, 2:])
-    wanted = error_colours(drawn_error(teapot.patches(), view, seen))
-    shown = np.round(255 * imread(f"{result['out']}/error.png")[..., :3]).astype(np.uint8)
-    blue = np.round(255 * np.array(to_rgb(ERROR_CLASSES[1][1]))).astype(np.uint8)
-    blues = [np.all(own == blue, axis=-1) for own in (shown, wanted)]
-    rows, columns = (np.flatnonzero(blues[0].any(axis=axis)) for axis in (1, 0))
-    zoom = round(np.ptp(rows[rows < 0.9 * len(shown)]) / np.ptp(np.flatnonzero(blues[1].any(axis=1))))
-    assert zoom >= 2
-    first = [rows[0], columns[0]]
-    inside = shown[first[0] :: zoom, first[1] :: zoom]
-    corner = [np.flatnonzero(blues[1].any(axis=axis))[0] for axis in (1, 0)]
-    part = wanted[corner[0] : 110, corner[1] : 160]
-    same = np.all(inside[: part.shape[0], : part.shape[1]] == part[: inside.shape[0], : inside.shape[1]], axis=-1)
-    assert same[: blues[1].any(axis=1).sum()].all()
+@pytest.mark.parametrize("tall", [False, True])
+def test_a_picture_shows_every_pixel(tmp_path, rng, tall):
+    """Enlarged by a whole number, and nothing lies over it."""
+    error = rng.uniform(0.0, 2.0, (50, 20) if tall else (31, 43))
+    write_errors(Page(tmp_path / "error.png", "caption " * 30), Heading("one", "words " * 30, "as it is"), error)
+    shown = np.round(255 * imread(tmp_path / "error.png")[..., :3]).astype(np.uint8)
+    zoom = 480 // max(error.shape)
+    wanted = error_colours(error).repeat(zoom, axis=0).repeat(zoom, axis=1)
+    corners = np.argwhere(np.ones(np.array(shown.shape[:2]) - wanted.shape[:2] + 1, bool))
+    for place in rng.integers(wanted.shape[:2], size=(60, 2)):
+        corners = corners[np.all(shown[tuple((corners + place).T)] == wanted[tuple(place)], axis=1)]
+    ((row, column),) = corners
+    assert np.array_equal(shown[row : row + wanted.shape[0], column : column + wanted.shape[1]], wanted)
 
 
 @pytest.mark.gl
@@ -165,6 +160,7 @@ def test_without_opengl(capsys, monkeypatch):
 
 
 @pytest.mark.gl
+@pytest.mark.slow
 def test_normals_of_tangent_patches_without_a_tolerance(device, capsys, tmp_path):
     """Which normals are drawn can be said by itself; they are others."""
     write(tmp_path, "box.obj", CUBE)
@@ -187,7 +183,11 @@ def test_what_the_renderer_draws_is_what_looks_need(device, capsys, monkeypatch)
         asked.append({name for name in ("wire", "normals") if options.get(name)})
         return renderer(*arguments, **options)
 
+    def only_draw(self, name):
+        return {"picture": self.picture(name), "values": render.LOOKS[name].make(self.look).shows}
+
     monkeypatch.setattr(render, "Renderer", spy)
+    monkeypatch.setattr(render._Drawn, "row", only_draw)
     for look in ("error", "normals", "triangle-size", "wire"):
         run_json(capsys, "render", "teapot", *QUICK, "--look", look)
     assert asked == [set(), {"normals"}, {"wire"}, {"wire", "normals"}]
@@ -273,8 +273,8 @@ def test_pictures_of_almost_nothing(tmp_path):
     write_values(Page(tmp_path / "one.png"), heading, value, "px")
     value[0, 0] = np.inf
     write_errors(Page(tmp_path / "two.png"), heading, value)
-    for name in ("one.png", "two.png"):
-        assert imread(tmp_path / name).shape[1] >= 480
+    assert imread(tmp_path / "one.png").shape[1] >= 480
+    assert imread(tmp_path / "two.png").shape[1] >= 480
     assert wired(np.array([[np.nan, 0.5]]), np.array([[0.0, 1.0]]))[0, 0].tolist() == [1.0, 1.0, 1.0]
 
 
