@@ -20,6 +20,10 @@ from slefejax.experiments.parsing import parsed
 SCENES = ("teapot", "walker", "twisted-quad", "steep-patch")
 OF_A_SCENE = {
     "inspect": (),
+    "render": (
+        *("--look", "shaded", "wire", "error", "normals", "reflection", "factors", "depth", "checker"),
+        *("triangle-size", "--scale", "0.5"),
+    ),
     "minimality": ("--scales", "1", "0.8", "0.5"),
     "certify": (),
     "error-time": ("--cameras", "1", "--repeats", "1"),

@@ -99,7 +99,7 @@ def finish(figure: Any, part: Any) -> None:
         for axis, limits in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
             if axis.get_scale() == "log" and axis.isDefault_majloc:
                 log_ticks(axis, *sorted(limits))
-            elif axis.get_scale() == "symlog" and axis.isDefault_majfmt:
+            elif axis.get_scale() == "symlog" and axis.isDefault_majfmt or _reads_in_threes(axis, limits):
                 axis.set_major_formatter(FuncFormatter(lambda value, _: plain(value)))
     figure.draw_without_rendering()
     for axes in _all_axes(part):
@@ -111,6 +111,11 @@ def finish(figure: Any, part: Any) -> None:
     figure.set_layout_engine("none")  # from here on nothing moves by itself
     _to_whole_pixels(part)
     _keep_clear(figure, part)
+
+
+def _reads_in_threes(axis: Any, limits: tuple[float, float]) -> bool:
+    """Whether a linear axis has numbers that are read in threes."""
+    return axis.get_scale() == "linear" and axis.isDefault_majfmt and max(map(abs, limits)) >= 1e4
 
 
 def _all_axes(part: Any) -> list[Any]:
