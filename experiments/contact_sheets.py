@@ -34,7 +34,7 @@ OF_A_SCENE = {
     "limit": (),
     "gaussian": ("--levels", "1", "2", "--conditions", "1", "10"),
     "scaling": ("--repeats", "1"),
-    "fit-km": ("--cameras", "1"),
+    "fit-km": ("--cameras", "2"),
 }
 OF_NONE = {
     "tightness": ("--curves", "5"),
