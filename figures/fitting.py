@@ -99,7 +99,7 @@ def finish(figure: Any, part: Any) -> None:
         for axis, limits in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
             if axis.get_scale() == "log" and axis.isDefault_majloc:
                 log_ticks(axis, *sorted(limits))
-            elif axis.get_scale() == "symlog" and axis.isDefault_majfmt or _reads_in_threes(axis, limits):
+            elif (axis.get_scale() == "symlog" and axis.isDefault_majfmt) or _reads_in_threes(axis, limits):
                 axis.set_major_formatter(FuncFormatter(lambda value, _: plain(value)))
     figure.draw_without_rendering()
     for axes in _all_axes(part):

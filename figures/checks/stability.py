@@ -20,17 +20,18 @@ _STYLES: dict[str, dict[str, Any]] = {
 _LEAST, _MOST = 1e-17, 10.0
 _ZERO = 1e-18  # where an error of exactly 0 is marked, below the axis of the others
 _ZERO_SIZES = {"single": 10, "double": 5}  # one lies within the other where both are 0
-_COLUMNS = 3
+_COLUMNS = 3  # at most
 _TICKS = 5  # values that are written, at most
 
 
 def write_stability_figure(page: Page, rows: Rows) -> None:
     """Error against value for every family; violations, and what is not finite or refused, are marked."""
     names = list(dict.fromkeys(row["family"] for row in rows))
-    count = -(-len(names) // _COLUMNS)
+    columns = min(_COLUMNS, len(names))
+    count = -(-len(names) // columns)
     title = "Relative errors of factors in hard cases: each family of cases becomes harder from left to right"
     with drawing(page, 13, 1.4 + 2.7 * count, title) as figure:
-        panels = figure.subplots(count, _COLUMNS, squeeze=False)
+        panels = figure.subplots(count, columns, squeeze=False)
         for axes, name in zip(panels.ravel(), names, strict=False):
             _panel(axes, name, [row for row in rows if row["family"] == name])
         for axes in panels[:, 0]:

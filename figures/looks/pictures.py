@@ -23,7 +23,7 @@ from slefejax.figures.style import (
 )
 
 _LEGEND, _ONE_LINE = 0.95, 0.4  # inches below: a title and two lines, or a line
-_BAR, _BARS = 1.2, 1.7  # inches beside: a colour bar with its label, or two bars with shares
+_BAR, _BARS = 1.6, 1.7  # inches beside: a colour bar with its label, or two bars with shares
 
 
 def write_values(page: Page, heading: Heading, values: np.ndarray, label: str, part: float = 1.0) -> None:
