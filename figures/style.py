@@ -10,6 +10,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from slefejax.figures.fitting import finish, room_of, width_of, wrapped
@@ -66,6 +67,7 @@ OTHER_METHOD: dict[str, Any] = {"color": QUIET, "marker": "o"}
 
 SMALL, TITLE = 11, 14
 _BETWEEN = 1.3  # baselines, in sizes of the font
+_LEAST_MARK = 7.0  # points, in legends
 _MARGIN = 12  # pixels around what is shown of a picture
 _PLATE = {"facecolor": BACKGROUND, "edgecolor": "none", "alpha": 0.75, "pad": 1.0}  # behind letters on a picture
 
@@ -167,6 +169,8 @@ def legend_below(part: Any, handles: Sequence[Any] | None = None, title: str | N
     for handle in shown.legend_handles:
         if handle is not None and not isinstance(handle, Patch):
             handle.set_alpha(1.0)
+        if isinstance(handle, Line2D):
+            handle.set_markersize(max(handle.get_markersize(), _LEAST_MARK))
 
 
 def error_legend(part: Any) -> None:

@@ -128,7 +128,7 @@ def _plot_models(part: Any, models: Rows) -> None:
     scenes = list(dict.fromkeys(row["scene"] for row in models))
     floor = 1e-4
     # the largest marks below, so that models at the same place are all seen
-    for name, colour, size in zip(names, _MODEL_COLOURS, (13, 10, 7.5, 5), strict=False):
+    for name, colour, size in zip(names, _MODEL_COLOURS, (14, 11.5, 9, 6.5), strict=False):
         for scene, mark in zip(scenes, cycle(MARKS)):
             row = next(r for r in models if r["model"] == name and r["scene"] == scene)
             if np.isnan(row["held_out_share_unsafe"]):
