@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from slefejax.arguments import Number
+from slefejax.conversion.acc import patch_corners
 from slefejax.conversion.scheme import Conversion
 from slefejax.errors import InputError
 from slefejax.framing import PAPERS_SHARE, frame_share
@@ -152,6 +153,31 @@ class Scene:
         if self.conversion is not None and self.conversion.finer.sizes.min() > 3:
             left.append("triangle stencils: patches come from quads only")
         return tuple(left)
+
+    def texture_coordinates(self) -> Float[np.ndarray, "patches 2 2 2"]:
+        """Texture coordinates of the corners of every patch, those at (u, v) = (i, j) in ``[:, i, j]``, the second up.
+
+        Between corners they are bilinear in the patch's own u and v (``slefejax.model.texture.texture_at``). Where
+        faces were subdivided they are the refined faces', by the linear rules: middles of edges, means of faces.
+
+        A triangle is pinched at u = 1: its patch has the barycentric coordinates (1-u)(1-v), (1-u) v, u, the first at
+        corner (0, 0), the second at (0, 1), the last at the pinch. Coordinates of the third corner stand at both ends
+        of the side u = 1, so that bilinear interpolation is the triangle's linear one, and the same at the pinch for
+        every v. NaN for patches of faces that have none in their file.
+
+        Raises InputError for scenes without any, and for a scheme of one's own, whose patches' corners are not known.
+        """
+        if self.conversion is None:
+            raise InputError(f"{self.name} is no control mesh: only those have texture coordinates")
+        finer = self.conversion.finer
+        if finer.texture is None:
+            raise InputError(f"{self.name} has no texture coordinates: export the mesh with them")
+        if not self.conversion.own_faces:
+            said = (
+                f"patches of the scheme {self.conversion.scheme!r} have no texture coordinates: choose another scheme"
+            )
+            raise InputError(said, options=("scheme",))
+        return finer.texture[patch_corners(finer)]
 
     def tangents(self, pose: Any = None, deform: Deformation | None = None) -> tuple[Any, Any]:
         """Tangent patches in a pose (``Conversion.tangents``); pose and deform as in ``vertices``.

@@ -191,6 +191,16 @@ def pinched_last(mesh: Mesh, triangles: Int[np.ndarray, "triangles"]) -> Int[np.
     return np.take_along_axis(c, turned, axis=1).T
 
 
+def patch_corners(mesh: Mesh) -> Int[np.ndarray, "faces 2 2"]:
+    """Which corner of its face lies at (u, v) in {0, 1}^2 of the patch; of a pinched triangle the last one twice."""
+    found = np.empty((mesh.face_count, 2, 2), np.int64)
+    quads = mesh.sizes == 4
+    found[quads] = mesh.offsets[:-1][quads][:, None, None] + [[0, 3], [1, 2]]
+    p, q, top = pinched_last(mesh, np.flatnonzero(~quads))
+    found[~quads] = np.stack([q, p, top, top], axis=1).reshape(-1, 2, 2)
+    return found
+
+
 def kinds(around: Neighbourhood) -> Int[np.ndarray, "faces"]:
     """Of every face the last of KINDS that one of its vertices makes it; where all are regular, it is a B-spline."""
     mesh = around.mesh

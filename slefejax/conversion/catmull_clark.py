@@ -19,10 +19,13 @@ from jaxtyping import Bool, Float, Int
 
 from slefejax.model.mesh import Mesh
 from slefejax.model.stencils import StencilTable
+from slefejax.model.texture import refined_texture
 
 
 def refine(mesh: Mesh) -> tuple[Mesh, StencilTable, Int[np.ndarray, "children"]]:
     """The mesh after one step, the table that makes its vertices, and the old face of every new one.
+
+    Texture coordinates are refined by the linear rules (``slefejax.model.texture``).
 
     >>> square = Mesh.of([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [(0, 1, 2, 3)])
     >>> finer, table, parents = refine(square)
@@ -35,7 +38,8 @@ def refine(mesh: Mesh) -> tuple[Mesh, StencilTable, Int[np.ndarray, "children"]]
     middle = mesh.vertex_count + mesh.edge_count + mesh.face
     corners = np.stack([mesh.corners, edge, middle, edge[mesh.prev_corner]], axis=1).ravel()
     sizes = np.full(len(mesh.corners), 4)
-    finer = Mesh.packed(table.on_host(mesh.vertices), corners, sizes, **_sharper(mesh))
+    more = _sharper(mesh)
+    finer = Mesh.packed(table.on_host(mesh.vertices), corners, sizes, texture=refined_texture(mesh), **more)
     return finer, table, mesh.face
 
 

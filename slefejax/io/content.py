@@ -15,6 +15,7 @@ from slefejax.errors import InputError
 from slefejax.io.limits import LARGEST_FILE, check_size
 from slefejax.model.mesh import Mesh
 from slefejax.model.rig import Rig
+from slefejax.model.texture import together
 
 _MEGABYTES = {"usd": 2048, "3dm": 512}  # for a library itself
 Y_UP, Z_UP = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -110,6 +111,7 @@ def joined(meshes: list[Mesh], counts: list[int] | None = None) -> Mesh:
         shifted("corners"),
         np.concatenate([mesh.sizes for mesh in meshes]),
         np.concatenate([mesh.numbers + start for mesh, start in zip(meshes, faces, strict=True)]),
+        together([mesh.texture for mesh in meshes], [len(mesh.corners) for mesh in meshes]),
         creases=shifted("creases"),
         crease_sharpness=np.concatenate([mesh.crease_sharpness for mesh in meshes]),
         points=shifted("points"),

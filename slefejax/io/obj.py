@@ -1,8 +1,8 @@
 """Wavefront OBJ: control meshes of any polygons, with OpenSubdiv's tags for creases.
 
-Read are ``v``, ``f``, ``g``, ``o`` and ``t crease``, ``t corner``; comments, which begin where a word begins with #,
-lines continued by a backslash, negative numbers (counted back from the last vertex) and any line ends. Texture
-coordinates, normals and materials do not matter here. Other statements are left out, and said.
+Read are ``v``, ``vt``, ``f``, ``g``, ``o`` and ``t crease``, ``t corner``; comments, which begin where a word begins
+with #, lines continued by a backslash, negative numbers (counted back from the last vertex) and any line ends. Normals
+and materials do not matter here. Other statements are left out, and said.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import re
 from array import array
 from collections import Counter
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import pairwise, repeat
 from pathlib import Path
 from typing import Any
 
@@ -24,16 +24,19 @@ from slefejax.io.limits import LARGEST_TEXT
 from slefejax.io.numbers import parse_real, parse_whole, words_before
 from slefejax.model.mesh import Mesh
 
-_IRRELEVANT = {"vt", "vn", "s", "usemtl", "mtllib", "usemap", "maplib", "shadow_obj", "trace_obj", "lod", "bevel"}
+_IRRELEVANT = {"vn", "s", "usemtl", "mtllib", "usemap", "maplib", "shadow_obj", "trace_obj", "lod", "bevel"}
 _IRRELEVANT |= {"c_interp", "d_interp", "mg"}
 _DIGITS = 10  # of a number that is none any more
 _LINE = re.compile(r"[^\r\n]*+(?:\r\n|\r|\n)?")
 _RUN = r"(?:%s[ \t]*+\r?\n){1,4096}+"  # lines that are held at once
 _FINITE = r"[-+]?+(?:[0-9]{1,40}+(?:\.[0-9]*+)?+|\.[0-9]++)(?:[eE][-+]?+[0-9]{1,2}+)?+"
 _PLAIN_VERTICES = re.compile(_RUN % rf"v(?:[ \t]++{_FINITE}){{3}}")
-_PLAIN_FACES = re.compile(_RUN % r"f(?:[ \t]++[1-9][0-9]{0,8}+(?:/[0-9]*+){0,2}+)++")
-_PLAIN_OTHERS = re.compile(_RUN % r"v[tn][ \t][^\r\n\\]*+")
-_HEADS = re.compile(r"[ \t]([0-9]++)")
+_PLAIN_TEXTURE = {count: re.compile(_RUN % rf"vt(?:[ \t]++{_FINITE}){{{count}}}") for count in (2, 3)}
+_WHOLE = r"[1-9][0-9]{0,8}+"
+_PLAIN_FACES = re.compile(_RUN % rf"f(?:[ \t]++{_WHOLE}(?:/(?:{_WHOLE})?+){{0,2}}+)++")
+_PLAIN_NORMALS = re.compile(_RUN % r"vn[ \t][^\r\n\\]*+")
+_NUMBERS = re.compile(r"[0-9]++")
+_HEADS = re.compile(r"[ \t]([0-9]++)(?:/([0-9]*+))?+")
 
 
 def _whole() -> array:
@@ -55,13 +58,18 @@ class _Names:
 
 @dataclass
 class _Reader:
-    """What was read so far, in packed arrays. Vertices are numbered from 0; of a face the line that it stands on."""
+    """What was read so far, in packed arrays. Vertices are numbered from 0; of a face the line that it stands on.
+
+    texture : coordinates;  textured : which of them each corner has, numbered from 0, -1 for none
+    """
 
     path: Path
     wanted: frozenset[str] | None
     line: int = 0
     coordinates: array = field(default_factory=_real)
     corners: array = field(default_factory=_whole)
+    texture: array = field(default_factory=_real)
+    textured: array = field(default_factory=_whole)
     sizes: array = field(default_factory=_whole)
     lines: array = field(default_factory=_whole)
     numbers: array = field(default_factory=_whole)
@@ -84,6 +92,10 @@ class _Reader:
     def vertex_count(self) -> int:
         return len(self.coordinates) // 3
 
+    @property
+    def texture_count(self) -> int:
+        return len(self.texture) // 2
+
     def fail(self, what: str) -> InputError:
         return InputError(f"{self.path}, line {self.line}: {what}")
 
@@ -100,6 +112,8 @@ class _Reader:
             self.vertex(rest)
         elif keyword == "f":
             self.polygon(rest)
+        elif keyword == "vt":
+            self.texel(rest)
         elif keyword == "g":
             self.groups = self.names(rest or ["default"])
         elif keyword == "o":
@@ -121,20 +135,44 @@ class _Reader:
         self.coordinates.frombytes(found.T.tobytes())
         self.line += found.shape[1]
 
+    def texel(self, items: list[str]) -> None:
+        if not items:
+            raise self.fail("texture coordinates need a number at least: is the file complete?")
+        for item in [*items, "0"][:2]:
+            value = parse_real(item)
+            if value is None:
+                raise self.fail(f"a texture coordinate should be a number, not {item[:40]!r}")
+            # exporters write nan for faces that have no size in the picture: they have none
+            self.texture.append(value if np.isfinite(value) else np.nan)
+
+    def texels(self, run: str) -> None:
+        """Lines of two numbers each, or of three."""
+        words, lines = run.split(), run.count("\n")
+        each = len(words) // lines
+        found = np.array([words[1::each], words[2::each]], np.float64)
+        self.texture.frombytes(found.T.tobytes())
+        self.line += lines
+
     def polygons(self, run: str) -> None:
         """Lines of corners that are counted from the first vertex."""
         sizes = [len(line.split()) - 1 for line in run.splitlines()]
         first, count = self.count, len(sizes)
         self.count += count
         if self.wants_faces():
-            self.corners.extend([int(head) - 1 for head in _HEADS.findall(run)])
+            if "/" not in run:
+                self.corners.extend([int(head) - 1 for head in _NUMBERS.findall(run)])
+            else:
+                heads = _HEADS.findall(run)
+                self.corners.extend([int(head) - 1 for head, _ in heads])
+                self.textured.extend([int(texel) - 1 if texel else -1 for _, texel in heads])
+            self.untextured()
             self.sizes.extend(sizes)
             self.lines.extend(range(self.line + 1, self.line + 1 + count))
             self.numbers.extend(range(first, first + count))
         self.line += count
 
     def skip(self, run: str) -> None:
-        """Lines of texture coordinates or normals."""
+        """Lines of normals."""
         self.line += run.count("\n")
 
     def wants_faces(self) -> bool:
@@ -149,18 +187,32 @@ class _Reader:
         self.count += 1
         if not self.wants_faces():
             return
-        self.corners.extend(self.index(item) for item in items)
+        self.corners.extend(self.index(item.split("/", 1)[0], "vertex", self.vertex_count) for item in items)
+        if any("/" in item for item in items):
+            self.textured.extend(self.texel_of(item) for item in items)
+        self.untextured()
         self.sizes.append(len(items))
         self.lines.append(self.line)
         self.numbers.append(self.count - 1)
 
-    def index(self, item: str) -> int:
-        number = parse_whole(item.split("/", 1)[0])
+    def texel_of(self, item: str) -> int:
+        """-1 for a corner that has none."""
+        own = item.split("/", 2)[1:2]
+        return self.index(own[0], "texture coordinate", self.texture_count) if own and own[0] else -1
+
+    def untextured(self) -> None:
+        """Corners so far that nothing was said of have no texture coordinates."""
+        self.textured.extend(repeat(-1, len(self.corners) - len(self.textured)))
+
+    def index(self, item: str, what: str, count: int) -> int:
+        """The number from 0 on of a vertex or the like, of which there are so many up to here."""
+        number = parse_whole(item)
         if not number:
-            raise self.fail(f"a face should name vertices by their numbers, from 1 on, not {item[:40]!r}")
-        if number < 0 and -number > self.vertex_count:
-            raise self.fail(f"vertex {number} is counted back beyond the first of {self.vertex_count}")
-        return number - 1 if number > 0 else self.vertex_count + number
+            many = "vertices" if what == "vertex" else f"{what}s"
+            raise self.fail(f"a face should name {many} by their numbers, from 1 on, not {item[:40]!r}")
+        if number < 0 and -number > count:
+            raise self.fail(f"{what} {number} is counted back beyond the first of {count}")
+        return number - 1 if number > 0 else count + number
 
     def tag(self, items: list[str]) -> None:
         """``t NAME ints/floats/strings …``: creases are chains of vertices, numbered from 0, with their sharpness."""
@@ -218,7 +270,9 @@ def read_obj(path: Path, group: Any = None) -> Content:
 
 def _take_all(reader: _Reader, text: str) -> None:
     """Statement by statement, but for runs of plain lines of one kind, which are taken at once."""
-    runs = (_PLAIN_VERTICES, reader.vertices), (_PLAIN_FACES, reader.polygons), (_PLAIN_OTHERS, reader.skip)
+    texels = [(run, reader.texels) for run in _PLAIN_TEXTURE.values()]
+    others = (_PLAIN_FACES, reader.polygons), (_PLAIN_NORMALS, reader.skip)
+    runs = (_PLAIN_VERTICES, reader.vertices), *texels, *others
     place = 0
     while place < len(text):
         for run, take in runs:
@@ -250,17 +304,23 @@ def _statement(reader: _Reader, text: str, place: int) -> tuple[list[str], int]:
 
 def _mesh(reader: _Reader) -> Mesh:
     corners, sizes = (np.array(part, np.int64) for part in (reader.corners, reader.sizes))
-    beyond = np.flatnonzero(corners >= reader.vertex_count)
-    if beyond.size:
-        reader.line = reader.lines[int(np.searchsorted(np.cumsum(sizes), beyond[0], side="right"))]
-        what = f"the face names vertex {corners[beyond[0]] + 1}, but there are {reader.vertex_count}"
-        raise reader.fail(f"{what}: is the file complete?")
+    textured = np.array(reader.textured, np.int64)
+    for what, own, count in (
+        ("vertex", corners, reader.vertex_count),
+        ("texture coordinate", textured, reader.texture_count),
+    ):
+        beyond = np.flatnonzero(own >= count)
+        if beyond.size:
+            reader.line = reader.lines[int(np.searchsorted(np.cumsum(sizes), beyond[0], side="right"))]
+            said = f"the face names {what} {own[beyond[0]] + 1}, but there are {count}"
+            raise reader.fail(f"{said}: is the file complete?")
     with naming(reader.path):
         mesh = Mesh.packed(
             np.array(reader.coordinates).reshape(-1, 3),
             corners,
             sizes,
             np.array(reader.numbers),
+            _texture(np.array(reader.texture).reshape(-1, 2), textured),
             creases=np.array(reader.creases, np.int64).reshape(-1, 2),
             crease_sharpness=np.array(reader.crease_sharpness),
             points=np.array(reader.points, np.int64),
@@ -268,6 +328,16 @@ def _mesh(reader: _Reader) -> Mesh:
         )
     # creases of other groups are not this mesh's
     return mesh if reader.wanted is None else mesh.keep(np.ones(mesh.face_count, bool))
+
+
+def _texture(coordinates: np.ndarray, textured: np.ndarray) -> np.ndarray | None:
+    """Of every corner, NaN where it has none; None if no corner has any."""
+    there = textured >= 0
+    if not there.any():
+        return None
+    found = np.full((len(textured), 2), np.nan)
+    found[there] = coordinates[textured[there]]
+    return found
 
 
 def _notes(reader: _Reader) -> tuple[str, ...]:

@@ -142,7 +142,8 @@ def _mesh(arrays: _Arrays) -> Mesh:
         if place in arrays:
             sharp[place] = arrays.get(place, shape, "iu")
             sharp[sharpness] = arrays.get(sharpness, (len(sharp[place]),))
-    mesh = Mesh.packed(vertices, corners, sizes, **sharp)
+    texture = arrays.get("texture", (len(corners), 2)) if "texture" in arrays else None
+    mesh = Mesh.packed(vertices, corners, sizes, texture=texture, **sharp)
     if "covariances" not in arrays:
         return mesh
     return with_gaussians(mesh, arrays.get("covariances", (mesh.vertex_count, 3, 3)))
@@ -211,7 +212,8 @@ def write_pair(path: Path, mesh: Mesh, rig: Rig | None, up: tuple[float, float, 
         raise InputError(f"{path}: a pair is saved under the name of its .json file")
     arrays: dict[str, Any] = {"vertices": mesh.vertices, "sizes": mesh.sizes, "corners": mesh.corners}
     arrays |= {name: getattr(mesh, name) for name in _SHARP if len(getattr(mesh, name))}
-    arrays |= {} if mesh.covariances is None else {"covariances": mesh.covariances}
+    optional = {"covariances": mesh.covariances, "texture": mesh.texture}
+    arrays |= {name: values for name, values in optional.items() if values is not None}
     names: dict[str, Any] = {"format": FORMAT, "version": VERSION, "arrays": f"{path.stem}.npz", "up": list(up)}
     if rig is not None:
         names["rate"] = rig.rate

@@ -60,6 +60,8 @@ class Mesh:
     points    : ``(points,)``, vertices that stay sharp, and ``point_sharpness``
     numbers   : ``(faces,)``, the number that each face has in its file
     covariances : ``(vertices, 3, 3)``, of a covariance mesh (``slefejax.model.gaussians``); None of others
+    texture   : ``(corners, 2)``, texture coordinates of every corner, the second one up; NaN where a file has none,
+                None where it has none at all
 
     >>> Mesh.of([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2, 3]]).sizes.tolist()
     [4]
@@ -74,6 +76,7 @@ class Mesh:
     points: Int[np.ndarray, "points"] = field(default_factory=lambda: np.zeros(0, np.int64))
     point_sharpness: Float[np.ndarray, "points"] = field(default_factory=lambda: np.zeros(0))
     covariances: Float[np.ndarray, "vertices 3 3"] | None = None
+    texture: Float[np.ndarray, "corners 2"] | None = None
 
     @staticmethod
     def of(vertices: Any, faces: Iterable[Any]) -> Mesh:
@@ -100,13 +103,14 @@ class Mesh:
         return Mesh.packed(vertices, corners, sizes)
 
     @staticmethod
-    def packed(vertices: Any, corners: Any, sizes: Any, numbers: Any = None, **sharp: Any) -> Mesh:
+    def packed(vertices: Any, corners: Any, sizes: Any, numbers: Any = None, texture: Any = None, **sharp: Any) -> Mesh:
         """The same from all corners in one array and the number of corners of every face; checked likewise.
 
         Faces of fewer than three corners, which files have, are taken: they are a defect (``defects``) that is told or
         dropped with the others.
 
         numbers : of the faces in their file, if those are not 0, 1, 2 …
+        texture : coordinates of every corner, if there are any
         sharp   : ``creases``, ``crease_sharpness``, ``points``, ``point_sharpness``
         """
         vertices, corners = real_numbers(vertices, "vertices"), whole_numbers(corners, "vertex numbers of faces")
@@ -134,13 +138,15 @@ class Mesh:
         ):
             if at in sharp or sharpness in sharp:
                 _check_sharp(name, np.asarray(sharp[at]), np.asarray(sharp[sharpness]), len(vertices))
-        return Mesh(vertices, corners, offsets, numbers, **sharp)
+        texture = None if texture is None else _checked_texture(texture, len(corners))
+        return Mesh(vertices, corners, offsets, numbers, texture=texture, **sharp)
 
     def turned(self) -> Mesh:
         """The same with its other side as the front: every face the other way round from the same vertex on."""
         start, size = self.offsets[:-1][self.face], self.sizes[self.face]
         place = np.arange(len(self.corners)) - start
-        return replace(self, corners=self.corners[start + (size - place) % size])
+        order = start + (size - place) % size
+        return replace(self, corners=self.corners[order], texture=None if self.texture is None else self.texture[order])
 
     @property
     def face_count(self) -> int:
@@ -293,11 +299,25 @@ class Mesh:
 
     def keep(self, faces: Bool[np.ndarray, "faces"]) -> Mesh:
         """The mesh of some of its faces; vertices keep their numbers, creases that are no edges any more are gone."""
-        corners = self.corners[faces[self.face]]
+        own = faces[self.face]
         offsets = np.concatenate([[0], np.cumsum(self.sizes[faces])])
-        smaller = replace(self, corners=corners, offsets=offsets, numbers=self.numbers[faces])
+        texture = None if self.texture is None else self.texture[own]
+        smaller = replace(
+            self, corners=self.corners[own], offsets=offsets, numbers=self.numbers[faces], texture=texture
+        )
         held = np.isin(self._pair_keys(self.creases), smaller._edge_numbering[0])
         return replace(smaller, creases=self.creases[held], crease_sharpness=self.crease_sharpness[held])
+
+
+def _checked_texture(texture: Any, corners: int) -> Float[np.ndarray, "corners 2"]:
+    found = real_numbers(texture, "texture coordinates")
+    if found.shape != (corners, 2):
+        raise InputError(
+            f"texture coordinates must be an array ({corners}, 2), one for every corner, not {found.shape}"
+        )
+    if np.isinf(found).any():
+        raise InputError("texture coordinates must be finite, or NaN where there are none")
+    return found
 
 
 def _check_sharp(name: str, at: np.ndarray, sharpness: np.ndarray, count: int) -> None:

@@ -12,6 +12,7 @@ from slefejax.io.gltf.nodes import placements
 from slefejax.io.gltf.rig import Joints, Part, read_skin
 from slefejax.io.welding import welded_soundly
 from slefejax.model.mesh import Mesh
+from slefejax.model.texture import together
 
 
 def read_part(file: GltfFile, joints: Joints, number: int, bones: bool, notes: list[str]) -> Part | None:
@@ -65,6 +66,7 @@ def _placed(joints: Joints, part: Part, copies: np.ndarray, bones: bool, notes: 
         triangles=np.concatenate([p.triangles + start for p, start in zip(found, starts, strict=True)]),
         joints=np.tile(part.joints, (len(found), 1)),
         weights=np.tile(part.weights, (len(found), 1)),
+        texture=together([p.texture for p in found], [p.triangles.size for p in found]),
         offsets=[np.concatenate([p.offsets[k] for p in found]) for k in range(len(part.offsets))],
     )
 
@@ -77,7 +79,8 @@ def _moved(part: Part, matrix: np.ndarray, mirrored: bool) -> Part:
 
 def _turned(part: Part) -> Part:
     """With its other side as the front: what a mirror makes of it."""
-    return replace(part, triangles=part.triangles[:, [0, 2, 1]])
+    texture = None if part.texture is None else part.texture.reshape(-1, 3, 2)[:, [0, 2, 1]].reshape(-1, 2)
+    return replace(part, triangles=part.triangles[:, [0, 2, 1]], texture=texture)
 
 
 class _Primitives:
@@ -91,6 +94,7 @@ class _Primitives:
         self.places: list[np.ndarray] = []  # with offsets beside them
         self.bound: list[tuple[np.ndarray, np.ndarray]] = []
         self.triangles: list[np.ndarray] = []
+        self.texture: list[np.ndarray | None] = []  # of vertices
         self.count = 0
 
     def read(self, primitive: dict) -> None:
@@ -111,8 +115,19 @@ class _Primitives:
         self.keys = len(offsets)
         self.triangles.append(self.count + self._corners(primitive, len(places)))
         self.bound.append(self._bound(primitive, len(places)))
+        self.texture.append(self._texture(primitive, len(places)))
         self.places.append(np.concatenate([np.asarray(places, np.float64), *offsets], axis=1))
         self.count += len(places)
+
+    def _texture(self, primitive: dict, count: int) -> np.ndarray | None:
+        """Coordinates ``(vertices, 2)`` of the first set, the second one up: the file has it down."""
+        if "TEXCOORD_0" not in primitive["attributes"]:
+            return None
+        what = f"{self.name}: TEXCOORD_0"
+        found = np.asarray(self.file.array(primitive["attributes"]["TEXCOORD_0"], 2, what), np.float64)
+        if len(found) != count:
+            raise self.file.fail(f"{what} has {len(found)} rows for {count} vertices")
+        return found * [1.0, -1.0] + [0.0, 1.0]
 
     def _offsets(self, primitive: dict, count: int) -> list[np.ndarray]:
         """``(vertices, 3)`` of every morph target."""
@@ -207,6 +222,7 @@ class _Primitives:
             self.notes.append(f"{node}: in {apart} places surfaces only touch: their vertices there were kept apart")
         rows, keys = every[used[vertex]], self.keys or 0
         start = 3 + 3 * keys
+        texture = together(self.texture, [len(places) for places in self.places])
         return Part(
             self.number,
             rows[:, :3],
@@ -215,4 +231,5 @@ class _Primitives:
             rows[:, start + width :],
             [rows[:, 3 + 3 * k : 6 + 3 * k] for k in range(keys)],
             names,
+            None if texture is None else texture[own[whole].ravel()],
         )

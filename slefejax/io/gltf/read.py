@@ -25,6 +25,7 @@ from slefejax.io.gltf.rig import Joints, Part, influences_of, key_weights, keys_
 from slefejax.model.mesh import Mesh
 from slefejax.model.rig import Pose, Rig
 from slefejax.model.skinning import ShapeKeys
+from slefejax.model.texture import together
 
 
 def read_gltf(path: Path, animation: Any = None) -> Content:
@@ -74,4 +75,7 @@ def _content(file: GltfFile, animation: Any) -> Content:
 def _joined(parts: list[Part]) -> Mesh:
     starts = np.cumsum([0, *(len(part.places) for part in parts[:-1])])
     corners = np.concatenate([(part.triangles + start).ravel() for part, start in zip(parts, starts, strict=True)])
-    return Mesh.packed(np.concatenate([p.places for p in parts]), corners, np.full(len(corners) // 3, 3))
+    texture = together([part.texture for part in parts], [part.triangles.size for part in parts])
+    return Mesh.packed(
+        np.concatenate([p.places for p in parts]), corners, np.full(len(corners) // 3, 3), texture=texture
+    )

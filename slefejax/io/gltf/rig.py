@@ -32,6 +32,7 @@ class Part:
     weights: np.ndarray
     offsets: list[np.ndarray]
     names: list[str]
+    texture: np.ndarray | None = None
 
 
 @dataclass

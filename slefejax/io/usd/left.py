@@ -12,7 +12,7 @@ _SAMPLED = (
     *("points", "faceVertexCounts", "faceVertexIndices", "holeIndices", "orientation", "visibility"),
     *("creaseIndices", "creaseLengths", "creaseSharpnesses", "cornerIndices", "cornerSharpnesses"),
     *("pointWeights", "uKnots", "vKnots", "primvars:skel:geomBindTransform"),
-    *("primvars:skel:jointIndices", "primvars:skel:jointWeights"),
+    *("primvars:skel:jointIndices", "primvars:skel:jointWeights", "primvars:st", "primvars:st:indices"),
 )
 
 

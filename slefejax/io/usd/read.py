@@ -50,7 +50,7 @@ class _Reader:
         step = rate / frames if rate > 0 and frames > 0 else 1.0  # of one frame
         self.places = Places(library, time, step if np.isfinite(step) and step > 0 else 1.0)
         self.skinning = Skinning.of(library, stage, self.places)
-        self.shapes = Shapes(path, time)
+        self.shapes = Shapes(path, time, library.geometry)
         self.left = LeftOut(library, time)
         self.meshes: list[Mesh] = []
         self.counts: list[int] = []

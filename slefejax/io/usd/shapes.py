@@ -16,10 +16,11 @@ from slefejax.model.mesh import Mesh
 
 @dataclass
 class Shapes:
-    """Reads shapes at a time; what it changes or does not follow stands in notes."""
+    """Reads shapes at a time, with the library's geometry; what it changes or does not follow stands in notes."""
 
     path: Path
     time: Any
+    geometry: Any
     notes: list[str] = field(default_factory=list)
 
     def mesh(self, shape: Any, place: Float[np.ndarray, "4 4"], mirrored: bool) -> tuple[Mesh, int] | None:
@@ -45,6 +46,7 @@ class Shapes:
                 vertices,
                 corners,
                 sizes,
+                texture=self._texture(shape, corners, len(vertices)),
                 creases=pairs,
                 crease_sharpness=sharpness,
                 points=self._array(shape.GetCornerIndicesAttr(), np.int64),
@@ -131,6 +133,23 @@ class Shapes:
         rule = self._get(shape.GetTriangleSubdivisionRuleAttr())
         if rule != "catmullClark" and np.any(mesh.sizes == 3):
             self.notes.append(f"{name} says triangle subdivision rule '{rule}': it was taken as 'catmullClark'")
+
+    def _texture(
+        self, shape: Any, corners: Int[np.ndarray, "corners"], count: int
+    ) -> Float[np.ndarray, "corners 2"] | None:
+        """Of every corner, from ``primvars:st`` of corners or vertices; None without. InputError for a wrong number."""
+        own = self.geometry.PrimvarsAPI(shape).GetPrimvar("st")
+        if not own.HasValue() or not count:
+            return None
+        kind = str(own.GetInterpolation())
+        if kind not in ("faceVarying", "vertex", "varying"):
+            self.notes.append(f"{shape.GetPath()}: primvars:st of interpolation '{kind}' was left out")
+            return None
+        found = np.array(own.ComputeFlattened(self.time), np.float64)
+        wanted = len(corners) if kind == "faceVarying" else count
+        if found.shape != (wanted, 2):
+            raise InputError(f"primvars:st should be {wanted} pairs of numbers, not an array {found.shape}")
+        return found if kind == "faceVarying" else np.take(found, corners, axis=0, mode="clip")  # wrong ones are told
 
     def _creases(self, mesh: Any, name: str) -> tuple[Int[np.ndarray, "pairs 2"], Float[np.ndarray, "pairs"]]:
         """Chains of vertices with one sharpness a chain or one an edge, as pairs."""
