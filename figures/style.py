@@ -41,6 +41,7 @@ ORDERED_MAP = "cividis"
 # Triangles by area, small to large, blue, green, red and white in [YBP12]: here the background is white
 SIZE_COLOURS = (*(colour for _, colour, _ in ERROR_CLASSES[1:]), "#e4e0d8")
 CHECKER = ("#f2efe9", "#3f5f7f")
+UNTEXTURED = "#b0b0b0"  # faces without texture coordinates
 
 # For the colour-blind [OI]; with the marks they tell series apart, and patterns tell bars apart where colours repeat
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")

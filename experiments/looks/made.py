@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -31,8 +33,11 @@ class Made:
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of look: how it is made of what was drawn, and whether the renderer must draw normals or sides."""
+    """A kind of look: how it is made of what was drawn, and whether the renderer must draw normals or sides.
 
-    make: Callable[[Look], Made]
+    make : of a ``slefejax.experiments.studies.look.Look``; of one with a texture where the look shows that
+    """
+
+    make: Callable[[Any], Made]
     normals: bool = False
     wire: bool = False

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -16,6 +17,8 @@ from slefejax.experiments.looks.checker import checker
 from slefejax.experiments.looks.exr import write_exr
 from slefejax.experiments.looks.light import reflection, shaded
 from slefejax.experiments.looks.made import Kind, Made
+from slefejax.experiments.looks.picture import checker_picture, read_picture
+from slefejax.experiments.looks.texture import COARSER, FINER, Texture, Textured, texture
 from slefejax.experiments.looks.triangle_sizes import size_rows, triangle_size
 from slefejax.experiments.looks.values import depth, error, factors, normals
 from slefejax.experiments.looks.wire import wire
@@ -49,8 +52,9 @@ LOOKS = {
     "depth": Kind(depth),
     "checker": Kind(checker),
     "triangle-size": Kind(triangle_size, wire=True),
+    "texture": Kind(texture),
 }
-SIZES = "triangle-size"
+SIZES, TEXTURE = "triangle-size", "texture"
 _COLUMNS = ("look", "picture", "values", "median", "largest")
 
 
@@ -74,8 +78,10 @@ class Render:
     scene: tyro.conf.Positional[str]
     """A file (.obj, .usd…, .glb, …: the README lists them), or walker, teapot, twisted-quad, steep-patch."""
     look: tuple[str, ...] = ("shaded", "wire", "error")
-    """What to show: shaded, wire, error, normals, reflection, factors, depth, checker, triangle-size; a picture
-    each."""
+    """What to show: shaded, wire, error, normals, reflection, factors, depth, checker, triangle-size, texture; a
+    picture each."""
+    texture: Path | None = None
+    """The picture that the look texture shows; a checker without."""
     scale: float = 1.0
     """What the predicted factors are multiplied by."""
     edges: Edges = "shared"
@@ -93,12 +99,17 @@ class Render:
         scene = self.loading.load(self.scene)
         view = self.camera.view(scene)
         shown = _shown(scene, view, self.prediction)
-        predicted = self._factors(shown)
         device = open_device()
+        painted = self._painted(scene, device) if TEXTURE in looks else None
+        predicted = self._factors(shown)
+        given = None if self.texture is None else str(self.texture)
         arguments = {**asdict(self), "output": None, "format": self.output.format, "camera": camera_record(view)}
+        arguments["texture"] = given
         inputs = {"scene": digest(scene.patches().tobytes()), "opengl": device.renderer}
+        if painted is not None:
+            inputs["texture"] = digest(painted.picture.tobytes() + painted.coordinates.tobytes())
         with Run("render", arguments, self.output.out, inputs, self.output.pages(self)) as run:
-            own = _Drawn(self, shown, predicted, device, run)
+            own = _Drawn(self, shown, predicted, device, run, painted)
             with progress("drawing", len(looks)) as show:
                 rows = run.each("look", looks, own.row, show, own.picture, _COLUMNS)
             sizes = size_rows(own.look) if SIZES in looks else []
@@ -129,7 +140,16 @@ class Render:
         unknown = [name for name in self.look if name not in LOOKS]
         if unknown:
             raise InputError(no_such("look", unknown[0], LOOKS))
+        if self.texture is not None and TEXTURE not in self.look:
+            raise InputError("texture has a meaning for --look texture only", options=("texture",))
         return list(dict.fromkeys(self.look))
+
+    def _painted(self, scene: Scene, device: Device) -> Texture:
+        """What the look texture shows."""
+        coordinates = scene.texture_coordinates()
+        if self.texture is None:
+            return Texture(checker_picture(), coordinates)
+        return Texture(read_picture(self.texture, device.largest_picture), coordinates)
 
     def _factors(self, shown: Shown) -> Factors:
         """Predicted ones, scaled."""
@@ -165,6 +185,7 @@ class _Drawn:
     factors: Factors
     device: Device
     run: Run
+    texture: Texture | None = None
 
     @cached_property
     def look(self) -> Look:
@@ -177,10 +198,21 @@ class _Drawn:
         renderer = Renderer(self.shown.patches, self.device, self.options.spacing, **drawn)
         inner, outer = levels_of(self.factors, self.options.spacing, self.options.edges)
         view, spacing = self.shown.view, self.options.spacing
-        found = Look(self.shown.patches, view, renderer, inner, outer, spacing, factors=self.factors, shown=self.shown)
+        found = self._with_texture(
+            Look(self.shown.patches, view, renderer, inner, outer, spacing, factors=self.factors, shown=self.shown)
+        )
         if not (found.seen.patch >= 0).any():
             raise InputError("the picture is empty: no pixel centre is covered by the scene")
         return found
+
+    def _with_texture(self, look: Look) -> Look:
+        """The same with the texture, if there is one, and the levels that it is drawn with beside."""
+        if self.texture is None:
+            return look
+        scales = FINER / self.options.scale, COARSER
+        levels = [levels_of(self.factors.scaled(x), look.spacing, self.options.edges) for x in scales]
+        own = {item.name: getattr(look, item.name) for item in fields(look)}
+        return Textured(**own, texture=self.texture, scale=self.options.scale, finer=levels[0], coarser=levels[1])
 
     @property
     def triangles(self) -> int:
@@ -221,6 +253,9 @@ class _Drawn:
         said = unproved(self.options.prediction.value(), self.options.spacing)
         if plain and self.options.output.format == "exr":
             said += (f"no .exr file of what has no numbers: {plain}",)
+        if self.texture is not None:
+            bare = int(np.count_nonzero(np.isnan(self.texture.coordinates).any(axis=(1, 2, 3))))
+            said += (f"{bare} patches have no texture coordinates: they are grey",) if bare else ()
         return said
 
 

@@ -18,6 +18,7 @@ from slefejax.figures.style import (
     FACTOR_MAP,
     LINES,
     SIZE_COLOURS,
+    UNTEXTURED,
     error_legend,
     legend_below,
 )
@@ -52,6 +53,19 @@ def write_greys(page: Page, heading: Heading, greys: list[np.ndarray], titles: l
     with panels(page, heading, there, tuple(titles)) as own:
         for number, grey in enumerate(greys):
             own.show(number, _grey(grey))
+
+
+def write_textured(
+    page: Page, heading: Heading, colours: list[np.ndarray], there: list[np.ndarray], titles: tuple[str, ...]
+) -> None:
+    """Colours ``(height, width, 3)`` of pixels side by side, grey where something is that has none.
+
+    there : ``(height, width)``, whether there is anything
+    """
+    with panels(page, heading, np.any(there, axis=0), titles) as own:
+        for number, (seen, inside) in enumerate(zip(colours, there, strict=True)):
+            plain = np.where(inside[..., None], to_rgb(UNTEXTURED), to_rgb(BACKGROUND))
+            own.show(number, np.where(np.isnan(seen), plain, seen))
 
 
 def write_reflections(page: Page, heading: Heading, stripes: list[np.ndarray], titles: list[str]) -> None:
