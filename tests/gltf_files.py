@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 KINDS = {np.dtype(f"<{kind}"): 5120 + k for k, kind in enumerate(("i1", "u1", "i2", "u2", "i4", "u4", "f4"))}
-SHAPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+SHAPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 
 
 class Writer:

@@ -16,7 +16,7 @@ from slefejax.io.content import read_bytes
 from slefejax.late import one_at_a_time
 
 SQUARES = 32  # of the built-in checker along each axis; an even number, so that it repeats
-_TEXELS = 16  # along the side of a square
+_TEXELS = 32  # along the side of a square
 
 
 def read_picture(path: Path, largest: int) -> Float[np.ndarray, "height width 3"]:
@@ -62,8 +62,8 @@ def looked_up(
     [0.0, 0.5, 1.0]
     """
     height, width = picture.shape[:2]
-    known = ~np.isnan(at).any(axis=-1)
-    own = np.where(known[..., None], at, 0.0)
+    known = ~np.isnan(at).any(axis=-1, keepdims=True)
+    own = np.where(known, at, 0.0)
     place = (own - np.floor(own)) * [width, height] - 0.5
     low = np.floor(place).astype(int)
     (s, t), (column, row) = np.moveaxis(place - low, -1, 0)[..., None], np.moveaxis(low, -1, 0)
@@ -72,4 +72,4 @@ def looked_up(
         return picture[(row + up) % height, (column + right) % width]
 
     found = (1.0 - t) * ((1.0 - s) * texel(0, 0) + s * texel(0, 1)) + t * ((1.0 - s) * texel(1, 0) + s * texel(1, 1))
-    return np.where(known[..., None], found, np.nan)
+    return np.where(known, found, np.nan)

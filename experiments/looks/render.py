@@ -141,7 +141,7 @@ class Render:
         if unknown:
             raise InputError(no_such("look", unknown[0], LOOKS))
         if self.texture is not None and TEXTURE not in self.look:
-            raise InputError("texture has a meaning for --look texture only", options=("texture",))
+            raise InputError("--texture has a meaning for --look texture only")
         return list(dict.fromkeys(self.look))
 
     def _painted(self, scene: Scene, device: Device) -> Texture:
