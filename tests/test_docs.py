@@ -150,7 +150,9 @@ def test_commands_of_the_docs(device, tmp_path, place, words):
     """As they are typed, in a folder where the user's own files lie."""
     mesh = cube()
     lines = ["v " + " ".join(map(repr, vertex)) for vertex in mesh.vertices.tolist()]
-    lines += ["f " + " ".join(str(corner + 1) for corner in face) for face in mesh.corners.reshape(-1, 4).tolist()]
+    lines += ["vt 0 0", "vt 1 0", "vt 1 1", "vt 0 1"]
+    faces = mesh.corners.reshape(-1, 4).tolist()
+    lines += ["f " + " ".join(f"{corner + 1}/{k + 1}" for k, corner in enumerate(face)) for face in faces]
     (tmp_path / "spot_control_mesh.obj").write_text("\n".join(lines) + "\n")
     _, content = figure(np.random.default_rng(1))
     content["animations"][0]["name"] = "Walk"

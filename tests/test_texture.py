@@ -17,7 +17,7 @@ from slefejax.conversion.catmull_clark import refine
 from slefejax.conversion.scheme import convert
 from slefejax.experiments.cli import main
 from slefejax.experiments.looks.picture import checker_picture, looked_up, read_picture
-from slefejax.experiments.looks.texture import Texture, Textured, displacement, texture
+from slefejax.experiments.looks.texture import Texture, Textured, _worst_part, displacement, texture
 from slefejax.gpu import Renderer
 from slefejax.io.content import joined
 from slefejax.io.obj import read_obj
@@ -330,7 +330,7 @@ def test_texels_are_off_by_the_parametric_error(device, rng):
     patches, view = lattice(rng, 3, 3, relief=1.5), above()
     st = np.tile(np.array([[[0.0, 0.0], [0.0, 1.0]], [[1.0, 0.0], [1.0, 1.0]]]), (len(patches), 1, 1, 1))
     look = of(device, patches, st, view, 3, checker_picture())
-    off, exact = displacement(look), look.exact
+    off, exact = displacement(look, look.seen), look.exact
     error = pixel_error(patches, view, look.seen.u, look.seen.v, look.seen.patch)
     left = pixel_error(patches, view, exact.u, exact.v, exact.patch)
     both = (look.seen.patch >= 0) & (exact.patch >= 0)
@@ -420,3 +420,13 @@ def test_pictures_have_their_first_row_on_top(tmp_path):
     Image.fromarray(colours).save(tmp_path / "p.png")
     found = read_picture(tmp_path / "p.png", 100)
     assert found[:, 0].tolist() == [[0, 0, 0], [1, 0, 0]]
+
+
+def test_the_worst_part_lies_in_what_is_shown():
+    off = np.full((40, 60), np.nan)
+    off[10:30, 20:60] = 0.1
+    off[28, 58] = 5.0
+    rows, columns = _worst_part(off, (slice(8, 42), slice(18, 62)))  # with a margin that reaches beyond the picture
+    assert (rows.stop - rows.start, columns.stop - columns.start) == (8, 10)
+    assert rows.start <= 28 < rows.stop <= 40
+    assert columns.start <= 58 < columns.stop <= 60

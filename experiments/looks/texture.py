@@ -6,11 +6,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
+from scipy.ndimage import uniform_filter
 
 from slefejax.experiments.looks.made import Made
 from slefejax.experiments.looks.picture import looked_up
 from slefejax.experiments.studies.look import Look
+from slefejax.figures.looks.panels import CLOSER
 from slefejax.figures.looks.pictures import write_textured
+from slefejax.figures.style import occupied
 from slefejax.gpu import GBuffer
 from slefejax.measure.error import surface_on_screen
 from slefejax.measure.exact import exact_parameters
@@ -57,7 +60,7 @@ class Textured(Look):
         u, v = exact_parameters(self.patches, self.view, seen)
         return replace(seen, u=u, v=v)
 
-    @property
+    @cached_property
     def coarse(self) -> GBuffer:
         """With the smaller factors."""
         assert self.coarser is not None
@@ -67,14 +70,18 @@ class Textured(Look):
 def texture(look: Textured) -> Made:
     """The texture at exact parameters, as drawn, and as drawn with smaller factors."""
     assert look.texture is not None
-    off = displacement(look)
-    shown = look.exact, look.seen, look.coarse
-    titles = "exact", f"as drawn, scale {look.scale:g}", f"as drawn, scale {COARSER * look.scale:g}"
+    off = displacement(look, look.seen)
+    shown = {
+        "exact": look.exact,
+        f"as drawn, scale {look.scale:g}": look.seen,
+        f"as drawn, scale {COARSER * look.scale:g}": look.coarse,
+    }
+    there = [seen.patch >= 0 for seen in shown.values()]
     draw = partial(
         write_textured,
-        colours=[look.texture.colours(seen) for seen in shown],
-        there=[seen.patch >= 0 for seen in shown],
-        titles=titles,
+        colours={title: look.texture.colours(seen) for title, seen in shown.items()},
+        there=there,
+        close=_worst_part(displacement(look, look.coarse), occupied(np.any(there, axis=0))),
     )
     channels = {"displacement_px": off}
     for name, seen in (("", look.seen), ("exact_", look.exact)):
@@ -84,13 +91,13 @@ def texture(look: Textured) -> Made:
     return Made(shows, draw, channels, "displacement_px")
 
 
-def displacement(look: Textured) -> np.ndarray:
+def displacement(look: Textured, seen: GBuffer) -> np.ndarray:
     """How far on the screen from what belongs there the texels lie that pixels show: max(|dx|, |dy|) in pixels.
 
     Between the exact surface's points that have the parameters drawn and the exact ones. NaN where one of both shows
     nothing.
     """
-    exact, seen = look.exact, look.seen
+    exact = look.exact
     at = np.nonzero((exact.patch >= 0) & (seen.patch >= 0))
     found = np.full(seen.patch.shape, np.nan)
     if at[0].size:
@@ -100,3 +107,15 @@ def displacement(look: Textured) -> np.ndarray:
         )
         found[at] = np.max(np.abs(drawn - belongs), axis=1)
     return found
+
+
+def _worst_part(off: np.ndarray, crop: tuple[slice, slice]) -> tuple[slice, slice]:
+    """Rows and columns of the part of what is shown, a quarter as high and wide, that is furthest off on the whole."""
+    shown = np.nan_to_num(off[crop])
+    size = (max(1, shown.shape[0] // CLOSER), max(1, shown.shape[1] // CLOSER))
+    middle = np.unravel_index(np.argmax(uniform_filter(shown, size, mode="constant")), shown.shape)  # type: ignore[arg-type]
+    parts = []
+    for at, n, most, part in zip(middle, size, shown.shape, crop, strict=True):
+        first = part.start + int(np.clip(at - n // 2, 0, most - n))
+        parts.append(slice(first, first + n))
+    return parts[0], parts[1]

@@ -13,6 +13,7 @@ from slefejax.figures.style import SETTINGS, bare, drawing, occupied, show_pixel
 
 _DPI = SETTINGS["figure.dpi"]
 _SMALL = 480  # pixels: a smaller picture is enlarged
+CLOSER = 4  # times as large, of what is shown once more
 _NARROWEST, _NARROWEST_PANEL = 6.2, 2.6  # inches of a page, and of a panel with a title
 _AROUND, _TITLE = 0.3, 0.6  # inches that a panel needs beside its picture, and above it for a title
 
@@ -26,16 +27,19 @@ class Heading(NamedTuple):
 
 
 class Panels(NamedTuple):
-    """The part of the page that is drawn on, its panels, what of every picture they show, and axes beside them."""
+    """The part of the page that is drawn on, its panels, what of every picture they show, and axes beside them.
+
+    Panels of the part that is shown from near are the last ones.
+    """
 
     figure: Any
     panels: list[Any]
     crop: tuple[slice, slice]
     beside: Any = None
 
-    def show(self, number: int, image: np.ndarray, **how: Any) -> Any:
-        """A picture, row 0 at the bottom, in one of the panels."""
-        return show_pixels(self.panels[number], image[self.crop], **how)
+    def show(self, number: int, image: np.ndarray, crop: tuple[slice, slice] | None = None, **how: Any) -> Any:
+        """A picture, row 0 at the bottom, in one of the panels; or another part of it."""
+        return show_pixels(self.panels[number], image[crop or self.crop], **how)
 
 
 @contextmanager
@@ -48,6 +52,7 @@ def panels(
     bar: float = 0.0,
     beside: float = 0.0,
     below: float = 0.0,
+    close: tuple[int, int] | None = None,
 ) -> Iterator[Panels]:
     """A page with panels for what is seen of pictures of one size; written when the block is left.
 
@@ -56,6 +61,7 @@ def panels(
     bar    : inches that a colour bar of the panel takes
     beside : inches of axes to the right of them; none if 0
     below  : inches to keep free for a legend
+    close  : rows and columns of a part of the pictures that as many panels below them show ``CLOSER``
     """
     crop = occupied(there)
     rows, columns = there[crop].shape
@@ -64,12 +70,14 @@ def panels(
     panel = max(zoom * columns / _DPI, _NARROWEST_PANEL * titled) + _AROUND + bar
     inside = len(titles) * panel + beside
     across = max(_NARROWEST, inside)
-    height = zoom * rows / _DPI + _AROUND + _TITLE * titled + below
-    with drawing(page, across, height, f"{heading.scene}: {heading.shows}\n{heading.how}", grid=False) as figure:
+    heights = [zoom * rows / _DPI + _AROUND + _TITLE * titled]
+    if close is not None:
+        heights.append(CLOSER * zoom * close[0] / _DPI + _AROUND)
+    with drawing(page, across, sum(heights) + below, f"{heading.scene}: {heading.shows}\n{heading.how}", grid=False) as figure:
         edge = max(0.5 * (across - inside), 1e-3)
         widths = [edge, len(titles) * panel, *[beside] * bool(beside), edge]
         _, middle, *right, _ = figure.subfigures(1, len(widths), width_ratios=widths)
-        found = list(np.ravel(middle.subplots(1, len(titles))))
-        for axes, title in zip(found, titles, strict=True):
-            bare(axes, title)
+        found = list(np.ravel(middle.subplots(len(heights), len(titles), height_ratios=heights)))
+        for number, axes in enumerate(found):
+            bare(axes, titles[number] if number < len(titles) else "")
         yield Panels(figure, found, crop, *(own.subplots() for own in right))

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.colors import to_rgb
-from matplotlib.patches import Patch
+from matplotlib.patches import Patch, Rectangle
 
 from slefejax.figures.checks.limit import stripe_greys
 from slefejax.figures.error_image import error_colours
@@ -16,6 +16,7 @@ from slefejax.figures.style import (
     BACKGROUND,
     CHECKER,
     FACTOR_MAP,
+    MARKED,
     LINES,
     SIZE_COLOURS,
     UNTEXTURED,
@@ -56,16 +57,27 @@ def write_greys(page: Page, heading: Heading, greys: list[np.ndarray], titles: l
 
 
 def write_textured(
-    page: Page, heading: Heading, colours: list[np.ndarray], there: list[np.ndarray], titles: tuple[str, ...]
+    page: Page,
+    heading: Heading,
+    colours: dict[str, np.ndarray],
+    there: list[np.ndarray],
+    close: tuple[slice, slice],
 ) -> None:
-    """Colours ``(height, width, 3)`` of pixels side by side, grey where something is that has none.
+    """Colours ``(height, width, 3)`` of pixels side by side, by titles; below them a part of each from near.
 
-    there : ``(height, width)``, whether there is anything
+    there : ``(height, width)``, whether there is anything: grey where it has no colour
+    close : rows and columns of that part, which a frame shows
     """
-    with panels(page, heading, np.any(there, axis=0), titles) as own:
-        for number, (seen, inside) in enumerate(zip(colours, there, strict=True)):
+    rows, columns = close
+    size = rows.stop - rows.start, columns.stop - columns.start
+    with panels(page, heading, np.any(there, axis=0), tuple(colours), close=size) as own:
+        corner = columns.start - own.crop[1].start - 0.5, rows.start - own.crop[0].start - 0.5
+        for number, (seen, inside) in enumerate(zip(colours.values(), there, strict=True)):
             plain = np.where(inside[..., None], to_rgb(UNTEXTURED), to_rgb(BACKGROUND))
-            own.show(number, np.where(np.isnan(seen), plain, seen))
+            shown = np.where(np.isnan(seen), plain, seen)
+            own.show(number, shown)
+            own.panels[number].add_patch(Rectangle(corner, size[1], size[0], fill=False, edgecolor=MARKED, linewidth=1.5))
+            own.show(len(colours) + number, shown, close)
 
 
 def write_reflections(page: Page, heading: Heading, stripes: list[np.ndarray], titles: list[str]) -> None:
