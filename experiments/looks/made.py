@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from slefejax.experiments.studies.look import Look
 from slefejax.figures.looks.panels import Heading
 from slefejax.figures.page import Page
 

@@ -73,7 +73,9 @@ def panels(
     heights = [zoom * rows / _DPI + _AROUND + _TITLE * titled]
     if close is not None:
         heights.append(CLOSER * zoom * close[0] / _DPI + _AROUND)
-    with drawing(page, across, sum(heights) + below, f"{heading.scene}: {heading.shows}\n{heading.how}", grid=False) as figure:
+    with drawing(
+        page, across, sum(heights) + below, f"{heading.scene}: {heading.shows}\n{heading.how}", grid=False
+    ) as figure:
         edge = max(0.5 * (across - inside), 1e-3)
         widths = [edge, len(titles) * panel, *[beside] * bool(beside), edge]
         _, middle, *right, _ = figure.subfigures(1, len(widths), width_ratios=widths)

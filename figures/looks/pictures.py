@@ -16,8 +16,8 @@ from slefejax.figures.style import (
     BACKGROUND,
     CHECKER,
     FACTOR_MAP,
-    MARKED,
     LINES,
+    MARKED,
     SIZE_COLOURS,
     UNTEXTURED,
     error_legend,
@@ -76,7 +76,9 @@ def write_textured(
             plain = np.where(inside[..., None], to_rgb(UNTEXTURED), to_rgb(BACKGROUND))
             shown = np.where(np.isnan(seen), plain, seen)
             own.show(number, shown)
-            own.panels[number].add_patch(Rectangle(corner, size[1], size[0], fill=False, edgecolor=MARKED, linewidth=1.5))
+            own.panels[number].add_patch(
+                Rectangle(corner, size[1], size[0], fill=False, edgecolor=MARKED, linewidth=1.5)
+            )
             own.show(len(colours) + number, shown, close)
 
 
