@@ -265,7 +265,8 @@ def test_gaussian_products_hold():
     assert 0.5 < found["worst_ratio"] <= 1.0
 
 
-@pytest.mark.parametrize("fault", [pytest.param("halved", marks=pytest.mark.slow), "no_weights"])
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", ["halved", "no_weights"])
 def test_faults_of_gaussian_products_are_found_and_reproduce(fault, request, tmp_path):
     request.getfixturevalue(fault)
     found = attack("gaussian", "tiles-1", 3)

@@ -241,6 +241,7 @@ def test_faces_of_more_vertices_take_a_step():
     assert len(scene_of(torus(), steps=1).patches()) == 80
 
 
+@pytest.mark.slow
 def test_gradients_agree_with_differences():
     mesh = torus(10.0)
     conversion = convert(mesh, "gaussian")
@@ -298,7 +299,8 @@ def test_a_session_takes_covariances_and_keeps_what_they_leave():
     second = session.factors(view, Pose(covariances=changed))
     assert session.recomputed == ("pose", "view")
     other = scene.posed(Pose(covariances=changed))
-    np.testing.assert_allclose(session.patches, other.patches(), rtol=1e-12)
+    # coordinates are about 1, and what cancels to nearly 0 is off by their rounding
+    np.testing.assert_allclose(session.patches, other.patches(), rtol=1e-12, atol=1e-14)
     np.testing.assert_allclose(second.factor, tessellation_factors(other.patches(), view).factor, rtol=1e-9)
     untouched = np.all(np.asarray(session.patches) == before, axis=(1, 2, 3))
     assert 0 < untouched.sum() < len(untouched)

@@ -156,6 +156,7 @@ def test_minimal_factors_of_the_teapot_by_normals(teapot):
     assert np.any(both > known)
 
 
+@pytest.mark.slow
 def test_pairs_by_normals_are_valid_and_nothing_smaller_is(teapot):
     patch = teapot.patches()[20:21]
     pair = minimal_pairs(patch, ABOVE, 1.0, normal_tolerance=25.0)

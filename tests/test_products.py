@@ -98,6 +98,7 @@ def test_recursive_vertices_come_to_the_surface():
     assert Recursive(mesh, 2).quads == 16 * mesh.face_count
 
 
+@pytest.mark.slow
 @pytest.mark.gl
 def test_drawn_levels_come_to_the_surface(device):
     surface = published(with_gaussians(disc(5), "infer"))

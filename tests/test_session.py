@@ -252,7 +252,10 @@ def test_factors_of_a_pose_that_is_gone():
     assert not np.array_equal(first.edges, session.factors(view, Pose(joints)).edges)
 
 
-@pytest.mark.parametrize("method", [{}, {"anisotropic": True, "levels": "fewest"}])
+SLOW = pytest.param({"anisotropic": True, "levels": "fewest"}, marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("method", [{}, SLOW])
 def test_levels_of_patches_that_stand_still_are_kept(walker, view, method, monkeypatch):
     """The same levels as without a session, and fewer cells and triangles to look at; all of them in another view."""
     looked = []

@@ -61,6 +61,7 @@ def test_a_sweep_measures_normals(device, capsys):
     assert record["arguments"]["prediction"]["shading"] == {"normal_tolerance": 0.5, "normals": "surface"}
 
 
+@pytest.mark.slow
 @pytest.mark.gl
 def test_a_stopped_sweep_goes_on(device, capsys, monkeypatch):
     def stop(*_):

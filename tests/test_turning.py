@@ -285,6 +285,7 @@ def test_sides_that_rounding_leaves_are_points(rng):
     assert sj.sampled_normal_error(patches, np.ceil(found.factor).astype(int), ABOVE)[0] <= 2.0
 
 
+@pytest.mark.slow
 def test_points_far_apart_beside_points_close_together(rng):
     """In single precision differences of points are as good as the points, whatever lies beside them."""
     patches = sheets(rng, 6, (4, 4, 3), steep=0.01)
@@ -316,6 +317,7 @@ def test_tangent_patches_keep_the_angle(rng, allowed):
     assert (found.inner.max() > 64) == (allowed < 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [np.float32, pytest.param(np.float64, marks=pytest.mark.slow)])
 def test_tiny_rational_patches_at_the_origin_have_claims(rng, dtype):
     patches = sheets(rng, 4, (3, 3, 4))

@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from slefejax.bounds.slopes import TileSlopes, on_tiles, steepest
 from slefejax.bounds.triangles import Extent, HalfCells, Triangles
 from slefejax.geometry.bezier import tile_matrices
 from slefejax.lanes import nets
 from slefejax.lanes.maxima import Maxima, larger, root
 from slefejax.lanes.nets import Lanes
+from slefejax.predict.normals.slopes import TileSlopes, on_tiles, steepest
 from slefejax.predict.normals.undivided import Spin
 
 

@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from slefejax.bounds.quadratics import IN_QUARTERS, Box, Places
-from slefejax.bounds.slopes import Sizes, Slope, least_missed, on_box, product
 from slefejax.bounds.twists import OnBox
 from slefejax.geometry.bezier import bernstein
 from slefejax.geometry.gregory import twist_slopes
 from slefejax.lanes import nets
 from slefejax.lanes.maxima import EXACT, smaller
 from slefejax.lanes.nets import Lanes
+from slefejax.predict.normals.slopes import Sizes, Slope, least_missed, on_box, product
 from slefejax.predict.normals.spinning import length, longest
 from slefejax.predict.normals.undivided import Spin
 from slefejax.predict.terms import THIRD
