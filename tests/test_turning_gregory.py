@@ -9,12 +9,15 @@ import pytest
 
 import slefejax as sj
 from slefejax import Camera, GregoryPatches, View, tessellation_factors
+from slefejax.bounds.triangles import HalfCells
 from slefejax.geometry.bezier import elevate, evaluate_patch
 from slefejax.geometry.evaluate import as_control
 from slefejax.geometry.gregory import QUAD_TWISTS, twist_slopes
 from slefejax.geometry.normals import collapsed_sides
+from slefejax.lanes.maxima import EXACT
 from slefejax.predict.cells import Pictures, Turned, cell_errors, triangle_errors
 from slefejax.predict.normals.slopes import on_box, on_tiles, slope_sizes, steepest
+from slefejax.predict.normals.spinning import Spinning, tile_tables
 from slefejax.predict.normals.undivided import Surfaces
 
 ABOVE = View(Camera.orthographic((0.0, 0.0, 50.0), (0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0), height=40.0), 300, 300)
@@ -78,6 +81,21 @@ def pictured(patches):
         return Turned(Surfaces(own, still[which].T).undivided(), np.deg2rad(1.0))
 
     return Pictures(made, len(patches))
+
+
+def with_boxes(rng, kind, count=24):
+    """Patches, and of each the corner and the extent of a box, a third of them at corners of the patch."""
+    extent = rng.uniform(0.03, 0.12, (count, 2))
+    low = rng.uniform(0, 1 - extent)
+    low[::3] = rng.integers(0, 2, (len(low[::3]), 2)) * (1 - extent[::3])
+    return patches_of(rng, kind, count), low, extent
+
+
+def of_twists(patches, u, v):
+    """What twists add to normals, ``(patches, ..., 3)``: the difference to those without."""
+    plain = GregoryPatches(patches.net, np.zeros_like(patches.twists))
+    every = range(len(patches.net))
+    return np.stack([normals(patches, k, u, v) - normals(plain, k, u, v) for k in every])
 
 
 def test_slopes_on_boxes_are_no_larger_than_is_told(rng):
@@ -151,14 +169,64 @@ def test_quadratics_miss_slopes_by_no_more_than_is_told(rng):
             assert np.all(np.abs(true - known @ basis.T).max(axis=-1) <= most + 1e-8)
 
 
+def told_of_twists(patches, n):
+    """How far what twists add may be off on n x n grids, and how long it may be, in the patches' units."""
+    own = jax.tree.map(lambda x: np.moveaxis(np.asarray(x), 0, -1), as_control(patches))
+    spin = Surfaces(own, np.asarray(collapsed_sides(patches)).T).undivided().spin
+    assert spin is not None
+    matrices, slopes_there = jax.tree.map(lambda x: x[0], tile_tables(spin, HalfCells(), 1))
+    spinning = Spinning.of(jax.tree.map(jnp.asarray, spin), (1.0, 1.0), EXACT)
+    tile = spinning.on_tile(matrices, slopes_there, 1, EXACT)
+    first, second = tile.errors(tile.lengths)
+    largest = np.linalg.norm(patches.twists, axis=2).max(axis=1)
+    by_u, by_v = (largest / np.linalg.norm(x, axis=1).max(axis=0) for x in (spin.by_u, spin.by_v))
+    most = first / n + (second + tile.bent) / n**2 + tile.more / n**3
+    return by_u * by_v * np.asarray(most), by_u * by_v * np.asarray(tile.size)
+
+
+def measured_of_twists(patches, n):
+    """The same by sampling."""
+    t = np.linspace(0, 1, 9)
+    x, y = np.meshgrid(t, t, indexing="ij")
+    rising = np.stack([1 - np.maximum(x, y), np.maximum(x - y, 0), np.minimum(x, y), np.maximum(y - x, 0)])
+    off, size = np.zeros(len(patches)), np.zeros(len(patches))
+    for i, j in np.ndindex(n, n):
+        ends = of_twists(patches, (i + np.array([0, 1, 1, 0])) / n, (j + np.array([0, 0, 1, 1])) / n)
+        exact = of_twists(patches, (i + x) / n, (j + y) / n)
+        missed = np.linalg.norm(exact - np.einsum("cxy,pck->pxyk", rising, ends), axis=-1)
+        off, size = (
+            np.maximum(off, missed.max(axis=(1, 2))),
+            np.maximum(size, np.linalg.norm(exact, axis=-1).max((1, 2))),
+        )
+    return off, size
+
+
+@pytest.mark.parametrize("kind", ["quads", "triangles"])
+def test_what_twists_add_is_interpolated_as_well_as_is_told(rng, kind):
+    """Lengths of all of it, over the whole patch: neither a direction nor an angle helps."""
+    patches = patches_of(rng, kind, 6, twist=1.0)
+    for n in (1, 2, 4, 9):
+        for most, found in zip(told_of_twists(patches, n), measured_of_twists(patches, n), strict=True):
+            assert np.all(found <= most)
+
+
+def test_one_twist_of_a_flat_patch_is_interpolated_little_better_than_is_told(rng):
+    """Then first order at its corner is all there is; both slopes err most at different places, and partly cancel."""
+    x, y = np.meshgrid(np.linspace(0, 1, 4), np.linspace(0, 1, 4), indexing="ij")
+    net = np.tile(np.stack([x, y, 0 * x], axis=-1), (8, 1, 1, 1))
+    twists = np.zeros((8, 4, 3))
+    twists[np.arange(8), np.arange(8) % 4] = rng.normal(size=(8, 3))
+    for most, found in zip(
+        *(way(GregoryPatches(net, twists), 12) for way in (told_of_twists, measured_of_twists)), strict=True
+    ):
+        assert np.all(found <= most)
+        assert np.all(found > 0.15 * most)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_cells_turn_no_more_than_is_told(rng, kind):
-    """A third of them at corners."""
-    patches = patches_of(rng, kind, 24)
-    pictures, number = pictured(patches), np.arange(24)
-    extent = rng.uniform(0.03, 0.12, (24, 2))
-    low = rng.uniform(0, 1 - extent)
-    low[::3] = rng.integers(0, 2, (8, 2)) * (1 - extent[::3])
+    patches, low, extent = with_boxes(rng, kind)
+    pictures, number = pictured(patches), np.arange(len(low))
     told = cell_errors(pictures, number, low, low + extent)
     true = np.array([on_cell(patches, k, *box) for k, *box in zip(number, low, low + extent, strict=True)])
     assert np.all(true <= told)
@@ -168,12 +236,9 @@ def test_cells_turn_no_more_than_is_told(rng, kind):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["quads", "triangles"])
 def test_triangles_turn_no_more_than_is_told(rng, kind):
-    patches = patches_of(rng, kind, 24)
-    pictures, number = pictured(patches), np.arange(24)
-    extent = rng.uniform(0.03, 0.12, (24, 2))
-    low = rng.uniform(0, 1 - extent)
-    low[::3] = rng.integers(0, 2, (8, 2)) * (1 - extent[::3])
-    corners = low[:, None] + rng.integers(0, 3, (24, 3, 2)) / 2 * extent[:, None]
+    patches, low, extent = with_boxes(rng, kind)
+    pictures, number = pictured(patches), np.arange(len(low))
+    corners = low[:, None] + rng.integers(0, 3, (len(low), 3, 2)) / 2 * extent[:, None]
     halves = triangle_errors(pictures, number, corners)
     shares = rng.dirichlet(np.ones(3), 200)
     for k, triangle, most in zip(number, corners, halves, strict=True):

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from slefejax.lanes.maxima import EXACT, Maxima, larger, smaller, smallest_along
+from slefejax.lanes.maxima import EXACT, Maxima, larger, root, smaller, smallest_along
 from slefejax.lanes.tuning import TUNING
 
 Lanes = Array  # (lanes,)
@@ -217,6 +217,28 @@ def sum_of_sizes(control: Array | np.ndarray) -> Lanes:
     if np.prod(control.shape[:3]) > TUNING.unrolled_sums:
         return jnp.sum(jnp.abs(control), axis=(0, 1, 2))
     return total([jnp.abs(control[place]) for place in np.ndindex(*control.shape[:3])])
+
+
+def length(vectors: Array) -> Array:
+    """Of vectors ``(..., 3, lanes)``, with a slope of 0 where it is 0.
+
+    >>> length(jnp.array([[3.0], [4.0], [0.0]])).tolist()
+    [5.0]
+    """
+    return root(_square(vectors))
+
+
+def longest(net: Array, maxima: Maxima = EXACT) -> Array:
+    """The length of the longest coefficient of vector nets ``(..., nu, nv, 3, lanes)``.
+
+    >>> longest(jnp.array([3.0, 4.0, 0.0]).reshape(1, 1, 3, 1)).tolist()
+    [5.0]
+    """
+    return root(maxima.largest_along(_square(net), (-3, -2)))
+
+
+def _square(vectors: Array) -> Array:
+    return jnp.sum(vectors * vectors, axis=-2)
 
 
 def stacked(net: Net) -> Array:

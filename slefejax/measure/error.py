@@ -102,7 +102,6 @@ def normal_error(
     Raises InputError for a picture without normals, or of another size, and for tangents as ``Renderer`` does.
     """
     check_concrete("normal_error", patches, view, seen.u, seen.v, seen.patch, tangents)
-    tangent_nets(on_host(check_patches(patches, gregory=True)), kind_of_normals(normals), tangents)
     if getattr(seen, "normal", None) is None:
         raise InputError("the picture has no normals: draw it with Renderer(patches, normals=True)")
     if seen.patch.shape != (view.height, view.width):

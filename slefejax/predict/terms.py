@@ -11,6 +11,7 @@ from slefejax.lanes.maxima import Maxima, larger, root
 from slefejax.lanes.nets import Lanes
 
 # d/du, d/dv, multiplicity
+SECOND = ((2, 0, 1.0), (1, 1, 2.0), (0, 2, 1.0))
 THIRD = ((3, 0, 1.0), (2, 1, 3.0), (1, 2, 3.0), (0, 3, 1.0))
 FOURTH = ((4, 0, 1.0), (3, 1, 4.0), (2, 2, 6.0), (1, 3, 4.0), (0, 4, 1.0))
 _TURNS = 2  # towards the n that a tile needs

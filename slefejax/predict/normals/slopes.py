@@ -189,10 +189,10 @@ def on_box(slots: int, low: Any, high: Any, cell: bool) -> list[tuple[Slope, Slo
     return found
 
 
-def least_missed(sizes: Sizes, cell: bool, otherwise: Any) -> Any:
+def least_missed(sizes: Sizes, cell: bool, *known: Any) -> Any:
     """What is missed of a function by quadratics, as its derivatives of any order tell, or as is known otherwise."""
     orders = [c * size for c, size in zip(_missed(cell), sizes[1:], strict=True)]
-    return reduce(smaller, orders, otherwise)
+    return reduce(smaller, [*orders, *known])
 
 
 def _missed(cell: bool) -> list[float]:

@@ -15,7 +15,7 @@ from jaxtyping import Array
 from slefejax.bounds.triangles import Extent, HalfCells, Triangles
 from slefejax.geometry.bezier import tile_matrices
 from slefejax.lanes import nets
-from slefejax.lanes.maxima import Maxima, larger, root
+from slefejax.lanes.maxima import Maxima, larger
 from slefejax.lanes.nets import Lanes
 from slefejax.predict.normals.slopes import TileSlopes, on_tiles, steepest
 from slefejax.predict.normals.undivided import Spin
@@ -32,7 +32,7 @@ class Spinning(NamedTuple):
     @staticmethod
     def of(spin: Spin, extent: Extent, maxima: Maxima) -> Spinning:
         """For triangles in boxes of sides extent/n."""
-        twists = length(spin.by_u), length(spin.by_v)
+        twists = nets.length(spin.by_u), nets.length(spin.by_v)
         bends = _bent(spin.along_u, maxima), _bent(spin.along_v, maxima)
         e_u, e_v = (jnp.asarray(e, bends[0].dtype) * jnp.ones_like(bends[0]) for e in extent)
         return Spinning(spin, twists, bends, larger(e_u, e_v))
@@ -49,9 +49,10 @@ class Spinning(NamedTuple):
         both = jnp.cross(self.spin.by_u[:, None], self.spin.by_v[None], axis=-2)
         steep = jnp.asarray(steepest(len(both)), along_u.dtype)[..., None]
         bent, more = self._weighted(slopes.size[..., None]), self._weighted(steep)
-        products = Products(with_u, with_v, both, maxima)
-        size = Seen.of(products, lambda net: longest(net, maxima), length).weighted(slopes.size, slopes.size)
-        return TileSpin(products, slopes, steep, tiles, self.largest, bent, more, size)
+        products = Products(with_u, with_v, both)
+        lengths = Seen.of(products, lambda several: nets.longest(several, maxima), nets.length)
+        size = lengths.weighted(slopes.size, slopes.size)
+        return TileSpin(products, lengths, slopes, steep, tiles, self.largest, bent, more, size)
 
     def _weighted(self, slopes: Any) -> Lanes:
         """An eighth of how much A and B are bent, times how much twists make of slopes ``(slots, 2, 1)``."""
@@ -65,7 +66,6 @@ class Products(NamedTuple):
     with_u: Any  # a_k x B, nets (slots, ..., ..., 3, lanes)
     with_v: Any  # A x b_k
     both: Any  # (slots, slots, 3, lanes): a_j x b_k
-    maxima: Maxima
 
 
 class Seen(NamedTuple):
@@ -79,9 +79,9 @@ class Seen(NamedTuple):
     @staticmethod
     def of(products: Products, of_nets: Callable[[Any], Any], of_vectors: Callable[[Any], Any]) -> Seen:
         """With sizes of nets ``(slots, ..., ..., 3, lanes)`` and of vectors ``(..., 3, lanes)``."""
-        nets_of = products.with_u, products.with_v
-        changing = [sum(of_nets(own) for own in _derivatives(net)) for net in nets_of]
-        return Seen(of_nets(nets_of[0]), of_nets(nets_of[1]), of_vectors(products.both), (changing[0], changing[1]))
+        with_u, with_v, both = products
+        by_u, by_v = (nets.total([of_nets(own) for own in _derivatives(several)]) for several in (with_u, with_v))
+        return Seen(of_nets(with_u), of_nets(with_v), of_vectors(both), (by_u, by_v))
 
     def weighted(self, sizes: Any, errors: Any) -> Lanes:
         """The sum of all products with what slopes err, and are, at most, ``(slots, 2)``."""
@@ -95,6 +95,7 @@ class TileSpin(NamedTuple):
     """Of a tile."""
 
     products: Products
+    lengths: Seen
     slopes: TileSlopes
     steep: Any  # (slots, 2, 1): how much slopes change
     tiles: int
@@ -103,11 +104,10 @@ class TileSpin(NamedTuple):
     more: Lanes  # n^3 times what is off because they are bent where slopes change
     size: Lanes  # what twists add to N is nowhere longer
 
-    def errors(self, of_nets: Callable[[Any], Any], of_vectors: Callable[[Any], Any]) -> tuple[Lanes, Lanes]:
-        """What is interpolated of that vector is off by at most first/n + second/n^2, with sizes as of ``Seen``, and
-        by what A and B are bent.
+    def errors(self, seen: Seen) -> tuple[Lanes, Lanes]:
+        """What is interpolated of that vector is off by at most first/n + second/n^2, seen so, and by what A and B are
+        bent: (14) of docs/certified.md.
         """
-        seen = Seen.of(self.products, of_nets, of_vectors)
         first, second = (seen.weighted(self.slopes.size, own) for own in self.slopes[1:])
         steep_u, steep_v = self.steep[:, 0], self.steep[:, 1]
         # a quarter of how much A and B change where slopes do, and slopes where others do
@@ -142,28 +142,5 @@ def _bent(net: Array, maxima: Maxima) -> Lanes:
     """The largest |uu| + 2 |uv| + |vv|."""
     by_u, by_v = _derivatives(net)
     (uu, uv), (_, vv) = _derivatives(by_u), _derivatives(by_v)
-    found = [times * longest(own, maxima) for own, times in ((uu, 1.0), (uv, 2.0), (vv, 1.0)) if own.size]
+    found = [times * nets.longest(own, maxima) for own, times in ((uu, 1.0), (uv, 2.0), (vv, 1.0)) if own.size]
     return nets.total([jnp.zeros_like(net[0, 0, 0]), *found])
-
-
-def length(vectors: Array) -> Array:
-    """Of vectors ``(..., 3, lanes)``.
-
-    >>> length(jnp.array([[3.0], [4.0], [0.0]])).tolist()
-    [5.0]
-    """
-    return root(_square(vectors))
-
-
-def longest(net: Array, maxima: Maxima) -> Array:
-    """The length of the longest coefficient of vector nets ``(..., nu, nv, 3, lanes)``.
-
-    >>> from slefejax.lanes.maxima import EXACT
-    >>> longest(jnp.array([3.0, 4.0, 0.0]).reshape(1, 1, 3, 1), EXACT).tolist()
-    [5.0]
-    """
-    return root(maxima.largest_along(_square(net), (-3, -2)))
-
-
-def _square(vectors: Array) -> Array:
-    return jnp.sum(vectors * vectors, axis=-2)

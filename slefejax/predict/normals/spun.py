@@ -11,14 +11,13 @@ from slefejax.bounds.twists import OnBox
 from slefejax.geometry.bezier import bernstein
 from slefejax.geometry.gregory import twist_slopes
 from slefejax.lanes import nets
-from slefejax.lanes.maxima import EXACT, smaller
+from slefejax.lanes.maxima import smaller
 from slefejax.lanes.nets import Lanes
 from slefejax.predict.normals.slopes import Sizes, Slope, least_missed, on_box, product
-from slefejax.predict.normals.spinning import length, longest
 from slefejax.predict.normals.undivided import Spin
-from slefejax.predict.terms import THIRD
+from slefejax.predict.terms import SECOND, THIRD
 
-_KINDS = (((0, 0, 1.0),), ((1, 0, 1.0), (0, 1, 1.0)), ((2, 0, 1.0), (1, 1, 2.0), (0, 2, 1.0)), THIRD)
+_KINDS = (((0, 0, 1.0),), ((1, 0, 1.0), (0, 1, 1.0)), SECOND, THIRD)
 
 
 class Missed(NamedTuple):
@@ -49,7 +48,7 @@ class PartSpin(NamedTuple):
 
         def twisted(twists: Any, k: int) -> tuple[Slope, Slope]:
             along = jnp.sum(twists * m, axis=1)
-            parts = length(twists - along[:, None] * m), jnp.abs(along)
+            parts = nets.length(twists - along[:, None] * m), jnp.abs(along)
             across, along = (Slope.total([pair[k] for pair in slopes], list(own)) for own in parts)
             return across, along
 
@@ -61,7 +60,7 @@ class PartSpin(NamedTuple):
             pairs = [(x[i], y[j]) for i, j in kinds for x, y in ((a, q), (b, p))]
             both = [product(a[i].sizes, b[j].sizes) for i, j in kinds]
             rests = [x.rest_with(y, cell) for x, y in pairs]
-            rests += [least_missed(own, cell, own[1]) for own in both]
+            rests += [least_missed(own, cell) for own in both]
             every = [*(product(x.sizes, y) for x, y in pairs), *both]
             swings = [smaller(0.5 * own[1], 2.0 * own[0]) for own in every]
             return Missed(nets.total(swings), nets.total(rests))
@@ -101,7 +100,7 @@ def _sizes(net: Any, box: Box, axis: Any) -> tuple[Sizes, Sizes]:
         parts = [jnp.asarray(nets.derivative(own, i, j)) * times for i, j, times in kinds]
         parts = [part for part in parts if nets.size(part)]
         depths = [jnp.sum(part * axis, axis=2) for part in parts]
-        across = [longest(x - d[:, :, None] * axis, EXACT) for x, d in zip(parts, depths, strict=True)]
+        across = [nets.longest(x - d[:, :, None] * axis) for x, d in zip(parts, depths, strict=True)]
         zero = jnp.zeros_like(axis[0])
         found.append([nets.total([zero, *across]), nets.total([zero, *(nets.top(jnp.abs(d)) for d in depths)])])
     one, other = zip(*found, strict=True)

@@ -18,11 +18,10 @@ from slefejax.geometry.bezier import tile_matrices
 from slefejax.lanes import loops, nets
 from slefejax.lanes.maxima import EXACT, Maxima, larger, root
 from slefejax.lanes.nets import Lanes
-from slefejax.predict.normals.spinning import Spinning, TileSpin, length, longest, tile_tables
+from slefejax.predict.normals.spinning import Seen, Spinning, TileSpin, tile_tables
 from slefejax.predict.normals.undivided import Undivided
-from slefejax.predict.terms import FOURTH, THIRD, Terms, solved
+from slefejax.predict.terms import FOURTH, SECOND, THIRD, Terms, solved
 
-_SECOND = ((2, 0, 1.0), (1, 1, 2.0), (0, 2, 1.0))  # d/du, d/dv, multiplicity
 # A coefficient of the net is wrong by at most that, in eps of its size, and what makes tiles of it adds an eighth
 _ROUNDING = 64.0
 
@@ -66,7 +65,7 @@ def turning(
     """
     net, size, spin = normals
     shapes = HalfCells() if triangles is None else triangles
-    whole = [nets.total([_largest(net, own, shapes.extent, maxima) for own in kind]) for kind in (_SECOND, FOURTH)]
+    whole = [nets.total([_largest(net, own, shapes.extent, maxima) for own in kind]) for kind in (SECOND, FOURTH)]
 
     spinning = None if spin is None else Spinning.of(spin, shapes.extent, maxima)
 
@@ -108,7 +107,7 @@ class _Tile(NamedTuple):
     def of(net: Vectors, size: Lanes, spun: TileSpin | None, maxima: Maxima) -> _Tile:
         """From coefficients, and the size that their rounding errors are proportional to."""
         mean = jnp.sum(net, axis=(0, 1))
-        axis = mean / _positive(length(mean))
+        axis = mean / _positive(nets.length(mean))
         error = _ROUNDING * float(jnp.finfo(net.dtype).eps) * size
         w = _along(net, axis)
         apart = error if spun is None else error + spun.size
@@ -116,10 +115,10 @@ class _Tile(NamedTuple):
         deep = least > 0
         w, over = loops.once((jnp.where(deep, w, 1.0), 1.0 / jnp.where(deep, w - error - apart, 1.0)))
         widest = 1.0 / jnp.where(deep, least, 1.0)
-        reach = longest((net - w[:, :, None] * axis) * over[:, :, None], maxima) + apart * widest
+        reach = nets.longest((net - w[:, :, None] * axis) * over[:, :, None], maxima) + apart * widest
         (a, b), (c, d) = ends = [[net[i, j] / w[i, j] for j in (0, -1)] for i in (0, -1)]
         about = loops.once(_bilinear(ends, *nets.degrees(net)))
-        slopes = [larger(length(p), length(q)) for p, q in ((c - a, d - b), (b - a, d - c))]
+        slopes = [larger(nets.length(p), nets.length(q)) for p, q in ((c - a, d - b), (b - a, d - c))]
         return _Tile(net, axis, w, over, deep, widest, reach, error, about, (slopes[0], slopes[1]), spun)
 
     def turning(self, whole: list[Lanes], angle: Any, triangles: Triangles, tiles: int, maxima: Maxima) -> Turning:
@@ -148,13 +147,13 @@ class _Tile(NamedTuple):
 
         t stands for s, and what of a product with t is no sum of Bernstein terms is added.
         """
-        parts = loops.once([self._raised(_derivative(self.net, i, j, triangles.extent)) for i, j, _ in _SECOND])
+        parts = loops.once([self._raised(_derivative(self.net, i, j, triangles.extent)) for i, j, _ in SECOND])
         depth = loops.once([_along(part, self.axis) for part in parts])
         left = [self._less(part, along) for part, along in zip(parts, depth, strict=True)]
         squares = maxima.largest([_square(_sum(left, own)) for own in triangles.directions]) * self.over**2
         flat = [_sum(depth, own) for own in triangles.directions]
         bend = root(nets.top(squares, maxima)) + self._slip(flat, maxima) * self.widest
-        apart = longest(self._less(self.net, self.w) * self.over[:, :, None], maxima)
+        apart = nets.longest(self._less(self.net, self.w) * self.over[:, :, None], maxima)
         apart = apart + (self._slip([self.w], maxima) + self.error) * self.widest
         if self.spun is not None:
             apart = apart + self._steepest * self.spun.size * self.widest
@@ -170,16 +169,16 @@ class _Tile(NamedTuple):
             along = jnp.sum(several * self.axis, axis=-2)
             t = _bilinear(self._ends, several.shape[-4] - 1, several.shape[-3] - 1)
             size = maxima.largest_along(jnp.abs(along), (-3, -2))
-            left = longest(several - t * along[..., None, :], maxima)
+            left = nets.longest(several - t * along[..., None, :], maxima)
             return left + self._slip([along], maxima) + apart * size
 
         def turned_everywhere(vectors: Array) -> Array:
             along = jnp.sum(vectors * self.axis, axis=-2)
-            left = [length(vectors - end * along[..., None, :]) for row in self._ends for end in row]
+            left = [nets.length(vectors - end * along[..., None, :]) for row in self._ends for end in row]
             return reduce(larger, left) + apart * jnp.abs(along)
 
-        kinds = (turned, turned_everywhere), (lambda several: longest(several, maxima), length)
-        found = zip(*(spun.errors(*own) for own in kinds), strict=True)
+        seen = Seen.of(spun.products, turned, turned_everywhere)
+        found = zip(spun.errors(seen), spun.errors(spun.lengths), strict=True)
         first, second = (self.widest * (x / angle + y) for x, y in found)
         return first, second
 
@@ -191,7 +190,7 @@ class _Tile(NamedTuple):
     @property
     def _steepest(self) -> Lanes:
         """The largest length of t: by so much vectors less t times their part along m are longer than they are."""
-        return reduce(larger, [length(own) for row in self._ends for own in row])
+        return reduce(larger, [nets.length(own) for row in self._ends for own in row])
 
     def _raised(self, part: Vectors) -> Vectors:
         """Of the degrees of the tile."""
@@ -218,7 +217,7 @@ class _Tile(NamedTuple):
             return jnp.zeros_like(self.reach)
         part = loops.once(part)
         along = _along(part, self.axis)
-        across = longest(part - along[:, :, None] * self.axis, maxima)
+        across = nets.longest(part - along[:, :, None] * self.axis, maxima)
         return kind[2] * (across + self.reach * nets.top(jnp.abs(along), maxima))
 
 
@@ -238,7 +237,7 @@ def _derivative(net: Vectors, i: int, j: int, extent: Extent) -> Vectors:
 def _largest(net: Vectors, kind: tuple[int, int, float], extent: Extent, maxima: Maxima) -> Lanes:
     """The largest size of a derivative, times its multiplicity."""
     part = _derivative(net, kind[0], kind[1], extent)
-    return kind[2] * longest(part, maxima) if nets.size(part) else jnp.zeros_like(net[0, 0, 0])
+    return kind[2] * nets.longest(part, maxima) if nets.size(part) else jnp.zeros_like(net[0, 0, 0])
 
 
 def _linear(net: Vectors, function: Callable[[Array], Any]) -> Vectors:
