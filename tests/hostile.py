@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slefejax.experiments.attack.nets import RATIONAL, SHAPES, moved, nets
+from slefejax.experiments.attack.families.nets import RATIONAL, SHAPES, moved, nets
 from slefejax.experiments.attack.views import VIEWS, elsewhere, view_of
 from slefejax.geometry.view import View
 

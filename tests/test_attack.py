@@ -19,12 +19,12 @@ from slefejax.experiments.attack import attack as command
 from slefejax.experiments.attack import batch as attack_batch
 from slefejax.experiments.attack import claims as attack_claims
 from slefejax.experiments.attack import climb as attack_climb
-from slefejax.experiments.attack import products as attack_products
 from slefejax.experiments.attack import settings as attack_settings
 from slefejax.experiments.attack.batch import attack
 from slefejax.experiments.attack.claims import claimed, rng_of, scene_of
+from slefejax.experiments.attack.families import products as attack_products
+from slefejax.experiments.attack.families.nets import GREGORY, plane
 from slefejax.experiments.attack.judge import normals as attack_normals
-from slefejax.experiments.attack.nets import GREGORY, plane
 from slefejax.experiments.attack.offender import script
 from slefejax.experiments.attack.settings import SETTINGS
 from slefejax.experiments.attack.workers import results
@@ -52,7 +52,13 @@ def times(share):
     return planted
 
 
-too_small, halved = times(0.98), times(0.5)
+too_small, halved, an_eighth = times(0.98), times(0.5), times(0.125)
+
+
+@pytest.fixture
+def planted(request, family):
+    """Factors halved; of Gregory patches, whose bound is loose, an eighth."""
+    request.getfixturevalue("an_eighth" if family == "spun-pinched" else "halved")
 
 
 @pytest.fixture
@@ -396,7 +402,10 @@ def test_what_cannot_be_done_is_said(tmp_path, value, error, message):
         list(results(square, ready, tasks([value], tmp_path), 2))
 
 
-@pytest.mark.parametrize(("family", "setting"), [("bent", "normals-tiles-1"), ("pole", "normals-float32")])
+@pytest.mark.parametrize(
+    ("family", "setting"),
+    [("bent", "normals-tiles-1"), ("pole", "normals-float32"), ("tangents", "normals-tiles-1")],
+)
 def test_normals_come_close_and_hold(family, setting):
     found = attack(family, setting, 1)
     assert found["violations"] == 0
@@ -414,14 +423,16 @@ def test_normals_of_gregory_patches_hold(family, setting):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("family", ["near-cusp", "tangents"])
 @pytest.mark.parametrize("setting", ["normals-drawn", "normals-drawn-fewest", "normals-verify"])
-def test_normals_hold_where_they_are_seen(setting):
+def test_normals_hold_where_they_are_seen(family, setting):
     """Beside the near plane levels leave out what nobody sees."""
-    assert attack("near-cusp", setting, 2)["violations"] == 0
+    assert attack(family, setting, 2)["violations"] == 0
 
 
-def test_halved_factors_of_normals_are_found_and_reproduce(halved, tmp_path):
-    found = attack("bent", "normals-tiles-1", 1)
+@pytest.mark.parametrize("family", ["bent", "tangents", pytest.param("spun-pinched", marks=pytest.mark.slow)])
+def test_too_small_factors_of_normals_are_found_and_reproduce(family, planted, tmp_path):
+    found = attack(family, "normals-tiles-1", 1)
     check_found(found, most=352)
     worst = {**found["offenders"][0], "setting": "normals-tiles-1"}
     then = run_script(tmp_path, worst, "--claimed")
@@ -431,7 +442,8 @@ def test_halved_factors_of_normals_are_found_and_reproduce(halved, tmp_path):
     assert now.returncode == 0, now.stderr
 
 
-def test_a_judge_that_does_not_divide_at_points_is_found_out(monkeypatch):
-    assert attack("pole", "normals-tiles-1", 1)["violations"] == 0
+@pytest.mark.parametrize("family", ["pole", "tangents"])
+def test_a_judge_that_does_not_divide_at_points_is_found_out(family, monkeypatch):
+    assert attack(family, "normals-tiles-1", 1)["violations"] == 0
     monkeypatch.setattr(attack_normals, "_over_distance", lambda net, _: net)
-    check_found(attack("pole", "normals-tiles-1", 1), most=352)
+    check_found(attack(family, "normals-tiles-1", 1), most=352)

@@ -10,9 +10,9 @@ import pytest
 
 from slefejax import sampled_error
 from slefejax.experiments.attack import judge as attack_judge
+from slefejax.experiments.attack.families.nets import moved, nets
 from slefejax.experiments.attack.judge.screen import Look, Screen, settled
 from slefejax.experiments.attack.judge.search import judge_triangles, judge_uniform
-from slefejax.experiments.attack.nets import moved, nets
 from slefejax.experiments.attack.views import VIEWS, elsewhere, view_of
 from slefejax.experiments.checks import reference
 

@@ -10,8 +10,8 @@ import pytest
 
 from slefejax import Camera, GregoryPatches, InputError, View, rounding_error
 from slefejax.experiments import options
+from slefejax.experiments.attack.families.nets import nets
 from slefejax.experiments.attack.judge.screen import Look, Screen
-from slefejax.experiments.attack.nets import nets
 from slefejax.experiments.options import rounding_notes
 from slefejax.gpu import Renderer
 from slefejax.measure import rounding

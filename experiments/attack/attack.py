@@ -15,11 +15,11 @@ import tyro
 from slefejax import InputError
 from slefejax.arguments import no_such
 from slefejax.experiments.attack.batch import attack
+from slefejax.experiments.attack.families.nets import FAMILIES
+from slefejax.experiments.attack.families.steep import STEEP_FAMILIES
 from slefejax.experiments.attack.judge.search import ALLOWANCE
-from slefejax.experiments.attack.nets import FAMILIES
 from slefejax.experiments.attack.offender import script
 from slefejax.experiments.attack.settings import SETTINGS
-from slefejax.experiments.attack.steep import STEEP_FAMILIES
 from slefejax.experiments.attack.workers import results, until
 from slefejax.experiments.cli import start_jax
 from slefejax.experiments.options import FigureOptions, check_count

@@ -12,8 +12,9 @@ import numpy as np
 from slefejax import GregoryPatches
 from slefejax.experiments.attack.claims import Claim, Rng, Scene, claim_of, claimed, rng_of, scene_of
 from slefejax.experiments.attack.drawn import judged_levels
+from slefejax.experiments.attack.families.products import ProductNets
+from slefejax.experiments.attack.families.shaded import Shaded
 from slefejax.experiments.attack.judge.search import ALLOWANCE, Found, judge_uniform
-from slefejax.experiments.attack.products import ProductNets
 from slefejax.experiments.attack.settings import SETTINGS, Setting
 from slefejax.experiments.store import Row
 
@@ -173,9 +174,12 @@ def outcome(
 
 
 def _lists(patches: Any) -> Row:
-    """Control points, twists of Gregory patches, and what Gaussian products are made of."""
+    """Control points, twists of Gregory patches, tangent patches, and what Gaussian products are made of."""
     if isinstance(patches, GregoryPatches):
         return _lists(patches.net) | {"twists": patches.twists.astype(np.float64).tolist()}
+    if isinstance(patches, Shaded):
+        tangents = [own.astype(np.float64).tolist() for own in (patches.along_u, patches.along_v)]
+        return _lists(patches.net) | {"tangents": tangents}
     if isinstance(patches, ProductNets):
         numbers = {name: getattr(patches, name).tolist() for name in ("gaussians", "scale", "offset")}
         return _lists(patches.patches()) | {"products": numbers}

@@ -10,12 +10,12 @@ from zlib import crc32
 import numpy as np
 
 from slefejax import Factors
+from slefejax.experiments.attack.families.nets import DEGREES, RATIONAL, moved, nets
+from slefejax.experiments.attack.families.steep import STEEP_FAMILIES, STEEP_RATIONAL, steep_nets
 from slefejax.experiments.attack.judge import normals, screen
 from slefejax.experiments.attack.judge.screen import Look
 from slefejax.experiments.attack.judge.search import Judged
-from slefejax.experiments.attack.nets import DEGREES, RATIONAL, moved, nets
 from slefejax.experiments.attack.settings import Setting, Tolerances, predicted
-from slefejax.experiments.attack.steep import STEEP_FAMILIES, STEEP_RATIONAL, steep_nets
 from slefejax.experiments.attack.views import VIEWS, elsewhere
 
 Rng = np.random.Generator
@@ -152,11 +152,7 @@ def _of_normals(patches: Any, look: Look, setting: Setting, rng: Rng) -> Toleran
 
     def ask(degrees: float) -> Factors | None:
         found = predicted(patches, look, setting.plain, Tolerances(_ANY, None, degrees))
-        return (
-            None
-            if found is None
-            else replace(found, factor=np.where(np.asarray(found.without_normal), 0.0, np.asarray(found.factor)))
-        )
+        return None if found is None else _with_normals(found)
 
     degrees, share = float(np.exp(rng.uniform(*np.log(_DEGREES)))), rng.uniform(*setting.share)
     found = ask(degrees)

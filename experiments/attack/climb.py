@@ -10,9 +10,9 @@ import numpy as np
 from slefejax import GregoryPatches
 from slefejax.experiments.attack.batch import MOST_OFFENDERS, judged_uniform, outcome
 from slefejax.experiments.attack.claims import Claim, Rng, claim_of, degrees_of, tolerance_for
+from slefejax.experiments.attack.families.nets import nets
+from slefejax.experiments.attack.families.products import ProductNets
 from slefejax.experiments.attack.judge.screen import Look
-from slefejax.experiments.attack.nets import nets
-from slefejax.experiments.attack.products import ProductNets
 from slefejax.experiments.attack.settings import Setting, Tolerances
 from slefejax.experiments.attack.views import VIEWS
 from slefejax.experiments.store import Row

@@ -24,11 +24,19 @@ eye, target, up, extent, near, far, perspective, width, height = {look}
 tolerance, depth_tolerance, normal_tolerance = {tolerances}
 patches = np.array({patches}).reshape({shape})
 twists = np.array({twists})  # of Gregory patches
+tangents = {tangents}  # of patches that are shaded with tangent patches, along u and along v
 # of Gaussian products: of the patch that is judged 4 x 4 points (Q 11, 12, 13, 22, 23, 33, h), scale and offset
 products = {products}
 which = {which}  # the patch that is judged
 triangle, share = np.array({triangle}), np.array({share})  # where the error was largest, in the domain
 {claimed}
+
+def given():
+    import slefejax as sj
+
+    made = patches.astype("{dtype}")
+    return sj.GregoryPatches(made, twists.astype("{dtype}")) if twists.size else made
+
 
 def predicted():
     import jax
@@ -38,11 +46,10 @@ def predicted():
     jax.config.update("jax_enable_x64", {double})
     make = sj.Camera.look_at if perspective else sj.Camera.orthographic
     view = sj.View(make(eye, target, up, extent, near, far), width, height)
-    given = patches.astype("{dtype}")
-    if twists.size:
-        given = sj.GregoryPatches(given, twists.astype("{dtype}"))
     asked = {{"tolerance": tolerance, "depth_tolerance": depth_tolerance, "normal_tolerance": normal_tolerance}}
-    return sj.tessellation_factors(given, view, **asked{options})
+    if tangents:
+        asked |= {{"normals": "tangents", "tangents": [np.array(own, "{dtype}") for own in tangents]}}
+    return sj.tessellation_factors(given(), view, **asked{options})
 
 
 def long(x):
@@ -131,10 +138,16 @@ def ratio(corners, shares):
     return float(max(np.max(np.abs(a / kept[0][3] - b / kept[1][3])) for a, b in zip(kept[0][:count], kept[1])))
 '''
 
-_NORMALS = '''def ratio(corners, shares):
+_NORMALS = '''def shaded():
+    if not tangents:
+        return given()[[which]]
+    return Shaded(given(), *(np.array(own, "{dtype}") for own in tangents))[[which]]
+
+
+def ratio(corners, shares):
     """The largest of triangles (t, 3, 2) at places (s, 3) in them."""
     look = Look(eye, target, up, extent, near, far, perspective, width, height)
-    own = Normals.of(patches[[which]].astype("{dtype}"), look, normal_tolerance, np.ones(1, bool), hidden={hidden})
+    own = Normals.of(shaded(), look, normal_tolerance, np.ones(1, bool), hidden={hidden})
     corners, shares = np.asarray(corners, np.longdouble), np.asarray(shares, np.longdouble)
     ends = own.at(*corners.reshape(1, -1, 2).transpose(2, 0, 1)).reshape(-1, 3, 7)
     u, v = (shares @ corners).reshape(1, -1, 2).transpose(2, 0, 1)
@@ -144,6 +157,7 @@ _NORMALS = '''def ratio(corners, shares):
 _IMPORT_NORMALS = """
 from slefejax.experiments.attack.judge.normals import Normals
 from slefejax.experiments.attack.judge.screen import Look
+from slefejax.experiments.attack.families.shaded import Shaded
 """
 
 _CLAIMED_UNIFORM = """claimed_factor = {factor}
@@ -206,6 +220,7 @@ def script(found: Row) -> str:
         patches=pformat(patches.ravel().tolist(), compact=True, width=118),
         shape=patches.shape,
         twists=found.get("twists", []),
+        tangents=found.get("tangents", []),
         products=pformat(products, compact=True, width=118),
         which=which,
         triangle=found["triangle"],

@@ -12,10 +12,11 @@ import jax
 import numpy as np
 
 from slefejax import Camera, Factors, InputError, View, tessellation_factors
+from slefejax.experiments.attack.families.nets import GAUSSIAN, GREGORY
+from slefejax.experiments.attack.families.products import ProductNets
+from slefejax.experiments.attack.families.shaded import Shaded
+from slefejax.experiments.attack.families.steep import STEEP_FAMILIES
 from slefejax.experiments.attack.judge.screen import Look
-from slefejax.experiments.attack.nets import GAUSSIAN, GREGORY
-from slefejax.experiments.attack.products import asked
-from slefejax.experiments.attack.steep import STEEP_FAMILIES
 from slefejax.experiments.attack.views import view_of
 from slefejax.predict.methods import Certified
 
@@ -131,7 +132,8 @@ def predicted(
     edge_numbers: np.ndarray | None = None,
 ) -> Factors | None:
     """What is claimed, or None where it is refused in words. Levels are asked for where edges are given."""
-    method, patches = Certified(**setting.options), asked(patches)
+    method = Certified(**setting.options)
+    patches, shading = _asked(patches)
     try:
         with setting.precision():
             if setting.traced:
@@ -144,12 +146,20 @@ def predicted(
                 depth_tolerance=tolerances.depth,
                 normal_tolerance=tolerances.degrees,
                 edge_numbers=edge_numbers,
+                **shading,
             )
             if edge_numbers is not None:
                 _ = found.inner
             return found
     except InputError:
         return None
+
+
+def _asked(patches: Any) -> tuple[Any, dict[str, Any]]:
+    """Patches as the package takes them, and how it is told which normals they have."""
+    if isinstance(patches, Shaded):
+        return patches.net, patches.normals()
+    return patches.patches() if isinstance(patches, ProductNets) else patches, {}
 
 
 def _traced(patches: Any, look: Look, setting: Setting, tolerance: float) -> Factors | None:

@@ -2,8 +2,9 @@
 
 Normals are undivided ones, P_u x P_v, of rational patches w^3 times that, over the distance in the domain from every
 side that is a point: a polynomial, whose Bernstein coefficients are made here by convolution of scaled ones. What is
-drawn interpolates it between vertices. Levels, and factors that are verified, keep normals where points are seen.
-What exceeds 1 in long double is decided with 60 digits (``settled``).
+drawn interpolates it between vertices. Of patches that are shaded with tangent patches it is the product of these, over
+the distance from sides along which there are none. Levels, and factors that are verified, keep normals where points
+are seen. What exceeds 1 in long double is decided with 60 digits (``settled``).
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class Normals(NamedTuple):
 
     @staticmethod
     def of(patches: Any, look: Look, degrees: float, claimed: np.ndarray, *, hidden: bool) -> Normals:
-        """Of patches ``(patches, du+1, dv+1, 3)``, or 4 at the end if rational, or ``GregoryPatches``.
+        """Of patches ``(patches, du+1, dv+1, 3)``, or 4 at the end if rational, ``GregoryPatches``, or ``Shaded``.
 
         Each number is taken as exact.
         """
@@ -188,6 +189,8 @@ def normal_nets(patches: Any, number: Any) -> tuple[np.ndarray, Spin | None]:
 
     And what twists of Gregory patches add.
     """
+    if hasattr(patches, "along_u"):
+        return _of_tangents(patches, number), None
     control, twists = parts_of(patches)
     which = point_sides(control)
     net = number(control)
@@ -205,6 +208,25 @@ def normal_nets(patches: Any, number: Any) -> tuple[np.ndarray, Spin | None]:
     pinched = which & (np.arange(4) == 2)
     spin = Spin(along_u, _over_distance(along_v, pinched), number(twists) / size[:, 0], scale[:, 0, 0, 0])
     return _over_distance(found * scale, which), spin
+
+
+def _of_tangents(shaded: Any, number: Any) -> np.ndarray:
+    along_u, along_v = (np.asarray(own) for own in (shaded.along_u, shaded.along_v))
+    which = still_sides(along_u, along_v)
+    along_u, along_v = (own / _largest(own) for own in map(number, (along_u, along_v)))
+    for k in range(4):
+        side = _side(along_u if k % 2 else along_v, k)
+        side[which[:, k]] = 0 * side[which[:, k]]
+    found = _product(along_u, along_v, cross)
+    return _over_distance(found / _largest(found), which)
+
+
+def still_sides(along_u: np.ndarray, along_v: np.ndarray) -> np.ndarray:
+    """Along which sides u=0, v=0, u=1, v=1 there are no tangents in their direction, ``(patches, 4)``."""
+    sizes = [np.abs(own).max(axis=(1, 2, 3)) for own in (along_u, along_v)]
+    nothing = max(_NOTHING, _NOTHING_ROUNDED * float(np.finfo(along_u.dtype).eps)) * np.maximum(*sizes)
+    sides = along_v[:, 0], along_u[:, :, 0], along_v[:, -1], along_u[:, :, -1]
+    return np.stack([np.abs(side).max(axis=(1, 2)) <= nothing for side in sides], axis=1)
 
 
 def _largest(net: np.ndarray) -> np.ndarray:

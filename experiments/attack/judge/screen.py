@@ -245,9 +245,8 @@ def _seen(
 
 def parts_of(patches: Any) -> tuple[np.ndarray, np.ndarray]:
     """Control points, and twists, of which only Gregory patches have any."""
-    if hasattr(patches, "twists"):
-        return np.asarray(patches.net), np.asarray(patches.twists)
-    return patches, np.zeros((len(patches), 0, 3))
+    net = np.asarray(getattr(patches, "net", patches))
+    return net, np.asarray(getattr(patches, "twists", np.zeros((len(net), 0, 3))))
 
 
 def _solved(q: np.ndarray) -> np.ndarray:

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from slefejax import GregoryPatches
-from slefejax.experiments.attack.products import ProductNets, product_nets
+from slefejax.experiments.attack.families.products import ProductNets, product_nets
+from slefejax.experiments.attack.families.shaded import Shaded
 from slefejax.geometry.gregory import QUAD_TWISTS, TRIANGLE_TWISTS
 
 DEGREES = ((1, 1), (2, 2), (3, 3), (2, 3), (3, 1), (4, 4), (5, 2), (6, 6), (2, 8), (9, 9), (12, 1), (12, 12))
@@ -172,7 +173,7 @@ def moved(patches: Any, scale: float, offset: np.ndarray) -> Any:
     """Patches with another size, and then elsewhere."""
     if isinstance(patches, GregoryPatches):
         return GregoryPatches(moved(patches.net, scale, offset), patches.twists * scale)
-    if isinstance(patches, ProductNets):
+    if isinstance(patches, (ProductNets, Shaded)):
         return patches.moved(scale, offset)
     weight = patches[..., 3:] if patches.shape[-1] == 4 else 1.0
     return np.concatenate([patches[..., :3] * scale + offset * weight, patches[..., 3:]], axis=-1)

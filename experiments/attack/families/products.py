@@ -71,11 +71,6 @@ class ProductNets:
         return np.concatenate([placed, net[..., 3:]], axis=-1)
 
 
-def asked(patches: Any) -> Any:
-    """Patches as the package takes them."""
-    return patches.patches() if isinstance(patches, ProductNets) else patches
-
-
 def product_nets(rng: Rng, means: np.ndarray) -> ProductNets:
     """Of nets of means ``(n, 4, 4, 3)``: Gaussians flat, long or round, those of a net turned nearly alike or not."""
     count = len(means)

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from slefejax import GregoryPatches
-from slefejax.experiments.attack.nets import SHAPES, Net, Rng, Shape, plane
+from slefejax.experiments.attack.families.nets import SHAPES, Net, Rng, Shape, plane
+from slefejax.experiments.attack.families.shaded import shaded_nets
 from slefejax.geometry.gregory import QUAD_TWISTS, TRIANGLE_TWISTS
 
 _SIDES = (0, slice(None)), (slice(None), 0), (-1, slice(None)), (slice(None), -1)
@@ -54,13 +55,15 @@ def _relief(rng: Rng) -> float:
 STEEP: dict[str, Shape] = {"bent": _bent, "pole": _pole, "near-cusp": _near_cusp, "thin": _thin}
 STEEP_RATIONAL = "steep-rational"
 SPUN = {"spun": 3, "spun-pinched": 4}  # degrees of Gregory patches' nets: of quads, of triangles
-STEEP_FAMILIES = (*STEEP, STEEP_RATIONAL, *SPUN)
+TANGENTS = "tangents"
+STEEP_FAMILIES = (*STEEP, STEEP_RATIONAL, TANGENTS, *SPUN)
 
 
 def steep_nets(family: str, rng: Rng, degrees: tuple[int, int], count: int) -> Any:
     """So many nets ``(n, du+1, dv+1, 3)``; 4 at the end of ``steep-rational`` ones, with weights over up to 3 decades.
 
-    These take their shapes from the other families here, and from those of ``nets`` with a relief of their own.
+    These, and ``tangents``, take their shapes from the other families here, and from those of ``nets`` with a relief of
+    their own.
     """
     if family in SPUN:
         return _spun(SPUN[family], rng, count)
@@ -68,6 +71,8 @@ def steep_nets(family: str, rng: Rng, degrees: tuple[int, int], count: int) -> A
     made = np.stack([_placed(name, rng, *degrees) for name in names])
     if family in STEEP:
         return made
+    if family == TANGENTS:
+        return shaded_nets(rng, made)
     decades = rng.choice([0.2, 1.0, 3.0], (count, 1, 1, 1))
     weights = 10.0 ** (rng.uniform(-0.5, 0.5, (*made.shape[:3], 1)) * decades)
     return np.concatenate([made * weights, weights], axis=3)
