@@ -30,7 +30,8 @@ from slefejax.lanes.maxima import larger, smaller
 # by sampling, a fiftieth larger, for lines that are not quite even; a test looks for more
 _EVEN = (3.54, 4.72)
 _BOXES = 64  # along each side of a patch, on which second derivatives are bounded
-_WIDENED = (2, 4, 8)  # cells a side from which on tiles are widened by one of them
+COARSEST = (1, 2, 4, 8, 16)  # cells a side from which on slopes are known on tiles, widened by one of them
+_TELLING = 8.0  # cells a side of which second order has to tell more than first order does
 _UNBOUNDED = 1e15
 # Of quadratic interpolation on a triangle in the unit square, for a first, a second and a third derivative of size 1:
 # sums of sizes of Lagrange polynomials times d, d^2/2 and d^3/6, with d the larger of the distances along u and v
@@ -46,16 +47,18 @@ CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1), (0, 0), (0, 1))  # of slots
 
 
 class TileSlopes(NamedTuple):
-    """Of slopes by u and by v, tile by tile, ``(tiles^2, slots, 2)``; errors on cells, or in boxes, of sides 1/n.
+    """Of slopes by u and by v, tile by tile; on cells, or in boxes, of sides 1/n, n at least each of ``COARSEST``.
 
-    size   : how large they are at most
+    size   : how large they are at most, at places in the tile
     first  : n times what they err at most, or 0 where the next one says more
     second : n^2 times that, or 0
+    steep  : how much they change at most, along u and along v together, where both change by 1
     """
 
     size: Float[np.ndarray, "tiles slots 2"]
-    first: Float[np.ndarray, "tiles slots 2"]
-    second: Float[np.ndarray, "tiles slots 2"]
+    first: Float[np.ndarray, "tiles coarsest slots 2"]
+    second: Float[np.ndarray, "tiles coarsest slots 2"]
+    steep: Float[np.ndarray, "tiles coarsest slots 2"]
 
 
 @cache
@@ -64,10 +67,10 @@ def on_tiles(slots: int, tiles: int, even: bool) -> TileSlopes:
 
     even : on cells of even grids; else for any triangle in boxes of sides up to 1/n
 
-    Second order away from the slot's corner: cells of grids coarser than 1/m may reach it from there, and count m times
-    their first order; of finer ones second derivatives are known. First order where that would not tell more for n = 8.
+    A cell reaches out of the tile of a place by no more than its side. Second order where the slot's corner is beyond
+    that, and where it tells more.
 
-    >>> on_tiles(4, 2, True).first[:, 0].tolist()
+    >>> on_tiles(4, 2, True).first[:, 2, 0].tolist()
     [[3.54, 3.54], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]]
     """
     per = -(-_BOXES // tiles)
@@ -76,29 +79,14 @@ def on_tiles(slots: int, tiles: int, even: bool) -> TileSlopes:
     u, v = (edges[:-1, None], edges[1:, None]), (edges[None, :-1], edges[None, 1:])
     found = np.broadcast_arrays(*(x for own in slope_sizes(slots, u, v, 1.0, 1.0) for pair in own for x in pair[:3]))
     sizes = np.stack(found).reshape(slots, 2, 3, m, m)
-    first = _first(slots, sizes[:, :, 1], even)
-    second = np.full((slots, 2, tiles, tiles), np.inf)
-    for coarsest in _WIDENED:
-        # the box that a cell may begin in, too
-        near = _widened(sizes[:, :, 2], -(-m // coarsest))
-        finer = np.maximum(_by_tile(near, tiles) / 8.0, coarsest * first[..., None, None])
-        second = np.minimum(second, finer)
-    near = second > _WIDENED[-1] * first[..., None, None]
-    at_corner = np.where(near, first[..., None, None], 0.0)
-    every = _by_tile(sizes[:, :, 0], tiles), at_corner, np.where(near, 0.0, second)
-    return TileSlopes(*(own.reshape(slots, 2, -1).transpose(2, 0, 1) for own in every))
-
-
-@cache
-def steepest(slots: int) -> Float[np.ndarray, "slots 2"]:
-    """How much slopes change at most, along u and along v together, where both change by 1.
-
-    >>> steepest(4)[0].round(1).tolist()
-    [23.1, 23.1]
-    """
-    edges = np.arange(_BOXES + 1) / _BOXES
-    u, v = (edges[:-1, None], edges[1:, None]), (edges[None, :-1], edges[None, 1:])
-    return np.array([[np.max(own[1]) for own in pair] for pair in slope_sizes(slots, u, v, 1.0, 1.0)])
+    # the box that a cell may begin in, too
+    around = np.stack([_widened(sizes[:, :, 1:], -(-m // coarsest)) for coarsest in COARSEST])
+    steep, bent = np.moveaxis(_by_tile(around, tiles), 3, 0)
+    second, first = bent / 8.0, _first(slots, sizes[:, :, 1], even)[..., None, None]
+    near = second > _TELLING * first
+    size = _by_tile(sizes[:, :, 0], tiles)
+    every = size, np.where(near, first, 0.0), np.where(near, 0.0, second), steep
+    return TileSlopes(*(np.moveaxis(own.reshape(*own.shape[:-2], tiles * tiles), -1, 0) for own in every))
 
 
 def _first(slots: int, along: np.ndarray, even: bool) -> Float[np.ndarray, "slots 2"]:

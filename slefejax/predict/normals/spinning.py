@@ -17,7 +17,7 @@ from slefejax.geometry.bezier import tile_matrices
 from slefejax.lanes import nets
 from slefejax.lanes.maxima import Maxima, larger
 from slefejax.lanes.nets import Lanes
-from slefejax.predict.normals.slopes import TileSlopes, on_tiles, steepest
+from slefejax.predict.normals.slopes import COARSEST, TileSlopes, on_tiles
 from slefejax.predict.normals.undivided import Spin
 
 
@@ -47,16 +47,15 @@ class Spinning(NamedTuple):
         with_u = jnp.cross(self.spin.by_u[:, None, None], along_v, axis=-2)
         with_v = jnp.cross(along_u, self.spin.by_v[:, None, None], axis=-2)
         both = jnp.cross(self.spin.by_u[:, None], self.spin.by_v[None], axis=-2)
-        steep = jnp.asarray(steepest(len(both)), along_u.dtype)[..., None]
-        bent, more = self._weighted(slopes.size[..., None]), self._weighted(steep)
+        bent, more = self._weighted(slopes.size), self._weighted(slopes.steep)
         products = Products(with_u, with_v, both)
         lengths = Seen.of(products, lambda several: nets.longest(several, maxima), nets.length)
         size = lengths.weighted(slopes.size, slopes.size)
-        return TileSpin(products, lengths, slopes, steep, tiles, self.largest, bent, more, size)
+        return TileSpin(products, lengths, slopes, tiles, self.largest, bent, more, size)
 
     def _weighted(self, slopes: Any) -> Lanes:
-        """An eighth of how much A and B are bent, times how much twists make of slopes ``(slots, 2, 1)``."""
-        long_u, long_v = (jnp.sum(slopes[:, k] * self.twists[k], axis=0) for k in (0, 1))
+        """An eighth of how much A and B are bent, times how much twists make of slopes ``(..., slots, 2)``."""
+        long_u, long_v = (jnp.sum(slopes[..., k, None] * self.twists[k], axis=-2) for k in (0, 1))
         return (long_u * self.bends[1] + long_v * self.bends[0]) / 8.0
 
 
@@ -84,35 +83,40 @@ class Seen(NamedTuple):
         return Seen(of_nets(with_u), of_nets(with_v), of_vectors(both), (by_u, by_v))
 
     def weighted(self, sizes: Any, errors: Any) -> Lanes:
-        """The sum of all products with what slopes err, and are, at most, ``(slots, 2)``."""
+        """The sum of all products with what slopes are, and err, at most, ``(slots, 2)`` and ``(..., slots, 2)``."""
         sizes, errors = sizes[..., None], errors[..., None]
         by_u = self.with_u + jnp.sum(sizes[None, :, 1] * self.both, axis=1)
         by_v = self.with_v + jnp.sum(sizes[:, None, 0] * self.both, axis=0)
-        return jnp.sum(errors[:, 0] * by_u + errors[:, 1] * by_v, axis=0)
+        return jnp.sum(errors[..., 0, :] * by_u + errors[..., 1, :] * by_v, axis=-2)
 
 
 class TileSpin(NamedTuple):
-    """Of a tile."""
+    """Of a tile; grids are as ``TileSlopes`` has them where there are several, ``(coarsest, lanes)``."""
 
     products: Products
     lengths: Seen
     slopes: TileSlopes
-    steep: Any  # (slots, 2, 1): how much slopes change
     tiles: int
     largest: Any  # side of the box that holds a triangle, in units of 1/n
     bent: Lanes  # n^2 times what is off because A and B are bent
-    more: Lanes  # n^3 times what is off because they are bent where slopes change
+    more: Any  # (coarsest, lanes): n^3 times what is off because they are bent where slopes change
     size: Lanes  # what twists add to N is nowhere longer
 
-    def errors(self, seen: Seen) -> tuple[Lanes, Lanes]:
+    @property
+    def coarsest(self) -> Any:
+        """The numbers of cells a side from which on what there are several of holds, ``(coarsest, lanes)``."""
+        whole, *parts = (m * self.largest for m in COARSEST)
+        return jnp.stack([jnp.ones_like(whole), *parts])
+
+    def errors(self, seen: Seen) -> tuple[Any, Any]:
         """What is interpolated of that vector is off by at most first/n + second/n^2, seen so, and by what A and B are
         bent: (14) of docs/certified.md.
         """
-        first, second = (seen.weighted(self.slopes.size, own) for own in self.slopes[1:])
-        steep_u, steep_v = self.steep[:, 0], self.steep[:, 1]
+        first, second = (seen.weighted(self.slopes.size, own) for own in (self.slopes.first, self.slopes.second))
+        steep_u, steep_v = self.slopes.steep[..., 0, None], self.slopes.steep[..., 1, None]
         # a quarter of how much A and B change where slopes do, and slopes where others do
-        changing = jnp.sum(steep_u * seen.changing[0] + steep_v * seen.changing[1], axis=0) * self.tiles
-        changing = changing + jnp.sum(steep_u[:, None] * steep_v[None] * seen.both, axis=(0, 1))
+        changing = jnp.sum(steep_u * seen.changing[0] + steep_v * seen.changing[1], axis=-2) * self.tiles
+        changing = changing + jnp.sum(steep_u[:, :, None] * steep_v[:, None] * seen.both, axis=(1, 2))
         return self.largest * first, self.largest**2 * (second + 0.25 * changing)
 
 

@@ -16,7 +16,7 @@ from jaxtyping import Array
 from slefejax.bounds.triangles import Extent, HalfCells, Triangles
 from slefejax.geometry.bezier import tile_matrices
 from slefejax.lanes import loops, nets
-from slefejax.lanes.maxima import EXACT, Maxima, larger, root
+from slefejax.lanes.maxima import EXACT, Maxima, larger, root, smallest_along
 from slefejax.lanes.nets import Lanes
 from slefejax.predict.normals.spinning import Seen, Spinning, TileSpin, tile_tables
 from slefejax.predict.normals.undivided import Undivided
@@ -130,15 +130,14 @@ class _Tile(NamedTuple):
         uuu, uuv, uvv, vvv = (self._third(kind, triangles.extent, maxima) * tiles**3 * scale for kind in THIRD)
         third, least = triangles.third(uuu + uuv + blur[1], vvv + uvv + blur[1], maxima)
         fourth = (whole[1] * root(1.0 + self.reach**2) + 16.0 * degree**4 * self.error) / 288.0 * scale
-        rest, first = whole[0] / 8.0 * self.widest, None
-        if self.spun is not None:
-            first, more = self._spun(self.spun, apart, angle, maxima)
-            all_of_it = self.widest * (root(1.0 + self.reach**2) / angle + 1.0) * self.spun.largest**2
-            rest = rest + more + all_of_it * self.spun.bent
-            third = third + all_of_it * self.spun.largest * self.spun.more
-        square = solved(Terms(second, third, fourth, least, rest, first), maxima)
+        terms = Terms(second, third, fourth, least, whole[0] / 8.0 * self.widest)
+        if self.spun is None:
+            square, spun = solved(terms, maxima), jnp.zeros_like(second)
+        else:
+            square = solved(self._with_twists(terms, self.spun, apart, angle, maxima), maxima)
+            square = smallest_along(maxima.largest([square, self.spun.coarsest**2]), (0,))
+            spun = jnp.where(self.spun.size > 0, square, 0.0)
         square = square * (1.0 + 128.0 * float(jnp.finfo(self.net.dtype).eps))
-        spun = jnp.zeros_like(square) if self.spun is None else jnp.where(self.spun.size > 0, square, 0.0)
         return Turning(square, second / 8.0, spun, corners * tiles**2 / (8.0 * angle), self.deep)
 
     def _bend(self, triangles: Triangles, maxima: Maxima) -> tuple[Lanes, Lanes, Lanes]:
@@ -161,7 +160,16 @@ class _Tile(NamedTuple):
         corners = [squares[i, j] for i in (0, -1) for j in (0, -1)]
         return bend + apart * rest, root(reduce(larger, corners)), apart
 
-    def _spun(self, spun: TileSpin, apart: Lanes, angle: Any, maxima: Maxima) -> tuple[Lanes, Lanes]:
+    def _with_twists(self, terms: Terms, spun: TileSpin, apart: Lanes, angle: Any, maxima: Maxima) -> Terms:
+        """All of it for grids that are at least as fine as ``spun.coarsest``, ``(coarsest, lanes)``."""
+        first, second = self._spun(spun, apart, angle, maxima)
+        all_of_it = self.widest * (root(1.0 + self.reach**2) / angle + 1.0) * spun.largest**2
+        rest = terms.rest + second + all_of_it * spun.bent
+        third = terms.third + all_of_it * spun.largest * spun.more
+        second, fourth = (jnp.broadcast_to(own, rest.shape) for own in (terms.second, terms.fourth))
+        return Terms(second, third, fourth, terms.least, rest, first)
+
+    def _spun(self, spun: TileSpin, apart: Lanes, angle: Any, maxima: Maxima) -> tuple[Any, Any]:
         """What twists make of the angle, times n and times n^2: of what turns N, and of N.m."""
 
         def turned(several: Array) -> Array:
