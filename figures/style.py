@@ -66,7 +66,7 @@ METHOD_STYLES: dict[str, dict[str, Any]] = {
 }
 OTHER_METHOD: dict[str, Any] = {"color": QUIET, "marker": "o"}
 
-SMALL, TITLE = 11, 14
+SMALL, TITLE, LARGE = 11, 14, 22
 _BETWEEN = 1.3  # baselines, in sizes of the font
 _LEAST_MARK = 7.0  # points, in legends
 _MARGIN = 12  # pixels around what is shown of a picture

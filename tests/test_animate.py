@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from PIL import Image
 
 from slefejax import InputError, Session, View, load, tessellation_factors
@@ -21,6 +22,8 @@ from slefejax.experiments.studies import animate
 from slefejax.experiments.studies.camera_path import camera_path
 from slefejax.experiments.studies.frames import Frames, frame_levels, moves_of_pixels
 from slefejax.experiments.studies.modes import MODES
+from slefejax.figures.looks.film import read_strip
+from slefejax.figures.style import ERROR_CLASSES, LINES
 from slefejax.gpu.renderer import GBuffer
 from tests.tables import TABLES
 from tests.test_cli import run_json
@@ -57,9 +60,13 @@ def test_animate(device, capsys, walker):
     assert static["skinning_ms"] == static["boxes_ms"] == static["view_ms"] == 0.0
     assert min(moving[name] for name in ("skinning_ms", "boxes_ms", "view_ms", "render_ms")) > 0
     names = TABLES | {"run.json", "modes.csv", "timeline.png", "time_of_a_frame.png", "animation.gif"}
-    assert set(os.listdir(result["out"])) == names | {f"error_frame_{k:04d}.png" for k in range(3)}
+    assert set(os.listdir(result["out"])) == names | {
+        f"{name}_{k:04d}.png" for name in ("frame", "looks") for k in range(3)
+    }
     film: Any = Image.open(f"{result['out']}/animation.gif")
     assert (film.n_frames, film.info["duration"]) == (3, 330)  # 8 of 24 frames a second
+    with Image.open(f"{result['out']}/frame_0001.png") as page:
+        assert film.size == page.size
     film.close()
     record = json.loads(Path(result["out"], "run.json").read_text())
     assert any(line.startswith("weights") for line in record["left_out"])
@@ -81,6 +88,47 @@ def test_rows_are_those_of_the_pose(device, capsys, walker):
     camera = Camera.look_at(*(options[name] for name in names))
     wanted = tessellation_factors(np.asarray(walker.pose(5.0)), View(camera, 240, 150), "slefe")
     assert row["sum_of_factors"] == pytest.approx(float(np.sum(wanted.factor)), rel=1e-9)
+
+
+@pytest.mark.gl
+def test_the_film_shows_the_looks_that_are_asked_for(device, capsys, monkeypatch):
+    """The triangles of the frame, and its errors; what is timed draws neither normals nor sides."""
+    asked, renderer = [], animate.Renderer
+
+    def spy(*arguments, **options):
+        asked.append({name for name in ("wire", "normals") if options.get(name)})
+        return renderer(*arguments, **options)
+
+    monkeypatch.setattr(animate, "Renderer", spy)
+    words = ["animate", "walker", *SMALL[:2], "--frames", "6:6:1", "--seconds", "0", *FAST]
+    result = run_json(capsys, *words, "--look", "error", "wire", "error")
+    assert asked == [set(), {"wire", "normals"}]
+    (row,) = result["rows"]
+    error, wire = read_strip(Path(result["out"], "looks_0000.png"), 2)
+    assert error.shape == wire.shape == (150, 240, 3)
+    covered = np.any(error != 1.0, axis=2)
+    assert covered.sum() == row["covered_pixels"]
+    far = {name: np.all(np.isclose(error, to_rgb(colour), atol=1 / 255), axis=2) for _, colour, name in ERROR_CLASSES}
+    assert (far["≤ 1 px"] | far["> 1 px"]).sum() == round(row["share_above_0.5"] * row["covered_pixels"])
+    dark = np.all(np.isclose(wire, to_rgb(LINES), atol=1 / 255), axis=2)
+    assert 0.05 < dark[covered].mean() < 0.6
+    assert not dark[~covered].any()
+    run_json(capsys, *words, "--look", "error")
+    assert asked[2:] == [set()]
+
+
+def test_what_is_said_of_frames():
+    """As many letters in each, so that they stand still; true of what was measured."""
+    rows = [{"triangles": 1234, "max_error_px": error} for error in (0.46, 0.5, 0.94, float("nan"), *[0.4] * 6)]
+    found = animate.said(rows, 0.5)
+    assert found[0] == (
+        "frame 01 of 10, 1,234 triangles",
+        "every pixel is right to within 0.5 px: the largest error is 0.46 px",
+    )
+    assert len({len(shows) for shows, _ in found}) == 1
+    assert found[1][1].startswith("every pixel is right")
+    assert found[2][1] == "not every pixel is right to within 0.5 px: the largest error is 0.94 px"
+    assert found[3][1] == "nothing of it is on the screen"
 
 
 @pytest.mark.gl
@@ -125,6 +173,9 @@ def test_a_stopped_film_continues_where_it_was(device, capsys, monkeypatch):
         (["--frames", "a"], "not 'a'"),
         (["--frames", "20:30:5"], "time 25 lies outside of the motion, 0 to 24"),
         (["--time", "3"], "--time has no meaning"),
+        (["--look", "wirre"], "there is no look 'wirre' (did you mean wire?): choose one of shaded, wire, error"),
+        (["--look", "depth"], "there is no look 'depth'"),
+        (["--look"], "--look needs at least one of shaded, wire, error, reflection"),
         (["--seconds", "-1"], "--seconds must not be negative"),
         (["--camera-path", "spiral"], "--camera-path must be still, orbit:DEGREES"),
         (["--camera-path", "orbit:x"], "needs a number behind the colon"),

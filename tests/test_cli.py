@@ -68,7 +68,14 @@ def test_folder_of_a_run(device, capsys):
     out = result["out"]
     assert out.startswith("runs/minimality/")
     assert result["scene"] == "teapot"
-    names = TABLES | {"run.json", "minimality.png", "factors.png", "error_scale_1.png", "error_scale_0.5.png"}
+    names = TABLES | {
+        "run.json",
+        "minimality.png",
+        "factors.png",
+        "enough.png",
+        "error_scale_1.png",
+        "error_scale_0.5.png",
+    }
     assert set(os.listdir(out)) == names
     assert os.listdir("runs/minimality") == [os.path.basename(out)]
     with open(f"{out}/table.csv") as file:

@@ -26,8 +26,11 @@ from slefejax.figures.bench.bench import write_growth
 from slefejax.figures.bench.scaling import write_scaling
 from slefejax.figures.error_image import error_colours, read_error_image, write_error_image
 from slefejax.figures.fitting import log_ticks, plain, wrapped
+from slefejax.figures.looks.film import read_strip, write_film, write_frames, write_strip
+from slefejax.figures.looks.panels import Heading
 from slefejax.figures.moves.budget import write_budget
 from slefejax.figures.page import Page
+from slefejax.figures.studies.enough import told_apart, write_enough
 from slefejax.figures.studies.error_time import write_pixels_against_triangles
 from slefejax.figures.style import ERROR_CLASSES, beside, drawing, legend_below
 from tests.layout import faults
@@ -147,6 +150,72 @@ def test_labels_without_a_free_place_are_left_out(tmp_path, seen):
     shown = [text for text in axes.texts if text.get_visible()]
     assert 5 < len(shown) < 40
     assert seen == [("x.png", [])]
+
+
+def films(folder: Path, height: int = 60, width: int = 90) -> tuple[list[Path], np.ndarray]:
+    """Strips of two frames: a block that moves, grey, and in the colours of the classes; and where it is."""
+    there, strips = np.zeros((2, height, width), bool), []
+    there[0, 10:50, 20:40] = there[1, 10:50, 30:60] = True
+    classes = error_colours(np.tile(np.array([[0.05, 0.3], [0.7, 3.0]]), (height // 2, width // 2))) / 255
+    for number, own in enumerate(there[..., None]):
+        strips.append(folder / f"strip_{number}.png")
+        write_strip(strips[-1], [np.where(own, 0.2, np.ones(3)), np.where(own, classes, 1.0)])
+    return strips, there
+
+
+def test_frames_of_a_film(tmp_path, seen):
+    """Cut alike, with every colour as it is; the film is as long as they are many."""
+    strips, there = films(tmp_path)
+    grey, classes = read_strip(strips[1], 2)
+    assert np.array_equal(np.any(grey != 1.0, axis=2), there[1])
+    assert len(np.unique(classes[there[1]], axis=0)) == 4
+    pages = [Page(tmp_path / f"frame_{k}.png", "caption " * 9) for k in range(2)]
+    headings = [Heading(LONG, f"frame {k}", "every pixel " * (1 + 9 * k)) for k in range(2)]
+    write_frames(pages, headings, strips, {"shaded": False, "error": True})
+    assert [fault for _, found in seen for fault in found] == []
+    write_film(tmp_path / "film.gif", pages, 0.25)
+    with Image.open(tmp_path / "film.gif") as film:
+        assert getattr(film, "n_frames", 1) == 2
+        assert film.info["duration"] == 250
+        film.seek(1)
+        colours = {colour for _, colour in film.convert("RGB").getcolors(1 << 16) or ()}
+    wanted = {tuple(round(255 * part) for part in to_rgb(colour)) for _, colour, _ in ERROR_CLASSES}
+    assert wanted | {(255, 255, 255)} <= colours
+    with Image.open(pages[0].path) as one, Image.open(pages[1].path) as other:
+        assert one.width == other.width
+
+
+def test_wide_frames_become_smaller(tmp_path, seen):
+    strips, _ = films(tmp_path, 60, 2400)
+    there = np.zeros((60, 2400), bool)
+    there[20:40, 100:2300] = True
+    write_strip(strips[0], 2 * [np.where(there[..., None], 0.2, np.ones(3))])
+    page = Page(tmp_path / "frame.png")
+    write_frames([page], [Heading("one", "wide", "as it is")], strips[:1], {"a": False, "b": False})
+    with Image.open(page.path) as picture:
+        assert 1400 < picture.width < 1800, "a third of 2 x 2,224, and what stands around"
+    assert seen == [("frame.png", [])]
+
+
+@pytest.mark.parametrize("size", [(40, 60), (300, 480)])
+def test_too_few_enough_and_more(tmp_path, seen, size):
+    rows = [
+        {"scale": scale, "triangles": triangles, "max_error_px": error}
+        for scale, triangles, error in ((1.0, 1_020_207, 0.46), (0.25, 990_710, 16.4), (2.0, 47_131_000, 0.113))
+    ]
+    told = told_apart(rows, 0.5)
+    assert [(row["scale"], word) for row, word in told] == [
+        *((0.25, "too few"), (1.0, "enough"), (2.0, "more than enough"))
+    ]
+    error = np.linspace(0, 2, size[0] * size[1]).reshape(size)
+    images = [tmp_path / f"error_{k}.png" for k in range(3)]
+    for image in images:
+        write_error_image(image, error, "title")
+    wires = [np.full((*size, 3), 0.5)] * 3
+    write_enough(Page(tmp_path / "enough.png", "caption"), told, wires, images, Heading(LONG, "how many?", "as it is"))
+    assert seen == [("enough.png", [])]
+    assert [word for _, word in told_apart(rows[1:2], 0.5)] == ["too few"]
+    assert [word for _, word in told_apart(rows[:1], 0.5)] == ["enough"]
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,8 @@ from slefejax import View
 from slefejax.experiments.checks.reflected import axes_of, mirrored, towards_camera
 from slefejax.experiments.looks.made import Made
 from slefejax.experiments.studies.look import Look
-from slefejax.figures.looks.pictures import write_greys, write_reflections
+from slefejax.figures.checks.limit import stripe_greys
+from slefejax.figures.looks.pictures import grey_colours, write_greys, write_reflections
 from slefejax.measure.error import exact_normals
 
 _TITLES = ["exact normals", "as drawn: interpolated between vertices"]
@@ -30,11 +31,25 @@ def reflection(look: Look) -> Made:
     return Made("reflected stripes", partial(write_reflections, stripes=stripes, titles=_TITLES))
 
 
+def shades(look: Look) -> np.ndarray:
+    """How bright every pixel is with the normals that were drawn, ``(height, width)``; NaN for background."""
+    return lit(_drawn_normals(look), look.view)
+
+
+def shaded_colours(look: Look) -> np.ndarray:
+    """The same as colours."""
+    return grey_colours(shades(look))
+
+
+def stripe_colours(look: Look) -> np.ndarray:
+    """Stripes that drawn normals reflect, as colours."""
+    return grey_colours(stripe_greys(mirrored(_drawn_normals(look), look.view, look.view)))
+
+
 def both_normals(look: Look) -> tuple[np.ndarray, np.ndarray]:
     """Exact and drawn unit normals of every pixel, ``(height, width, 3)``, NaN for none."""
     exact = exact_normals(look.patches, look.seen, *look.beside.shaded.kind)
-    assert look.seen.normal is not None
-    return exact, look.seen.normal.astype(np.float64)
+    return exact, _drawn_normals(look)
 
 
 def lit(normals: np.ndarray, view: View) -> np.ndarray:
@@ -49,6 +64,11 @@ def lit(normals: np.ndarray, view: View) -> np.ndarray:
     matt = np.maximum(facing @ lamp, 0.0)
     shine = np.maximum(np.sum(facing * halfway, axis=-1), 0.0) ** _SHARPNESS
     return _DARKEST + _MATT * matt + _SHINE * shine
+
+
+def _drawn_normals(look: Look) -> np.ndarray:
+    assert look.seen.normal is not None
+    return look.seen.normal.astype(np.float64)
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

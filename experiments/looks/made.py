@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,13 +29,26 @@ class Made:
     main: str = ""
 
 
+class Frame(NamedTuple):
+    """A look beside others, in a frame of a film: colours that mean the same in every frame.
+
+    says    : what stands above it
+    colours : of a ``Look``: those of every pixel, ``(height, width, 3)`` from 0 to 1, row 0 at the bottom
+    """
+
+    says: str
+    colours: Callable[[Any], np.ndarray]
+
+
 @dataclass(frozen=True)
 class Kind:
     """A kind of look: how it is made of what was drawn, and whether the renderer must draw normals or sides.
 
-    make : of a ``slefejax.experiments.studies.look.Look``; of one with a texture where the look shows that
+    make  : of a ``slefejax.experiments.studies.look.Look``; of one with a texture where the look shows that
+    frame : how a film shows it; None if it does not
     """
 
     make: Callable[[Any], Made]
     normals: bool = False
     wire: bool = False
+    frame: Frame | None = None

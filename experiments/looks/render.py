@@ -11,17 +11,14 @@ import numpy as np
 import tyro
 
 from slefejax import Factors, InputError, Scene, View, tessellation_factors
-from slefejax.arguments import check_positive, no_such
+from slefejax.arguments import check_positive
 from slefejax.experiments.levels import Edges, Spacing, check_levels_are_real, check_seen, levels_of, unproved
-from slefejax.experiments.looks.checker import checker
 from slefejax.experiments.looks.exr import write_exr
-from slefejax.experiments.looks.light import reflection, shaded
-from slefejax.experiments.looks.made import Kind, Made
+from slefejax.experiments.looks.kinds import LOOKS, SIZES, TEXTURE, chosen, needed
+from slefejax.experiments.looks.made import Made
 from slefejax.experiments.looks.picture import checker_picture, read_picture
-from slefejax.experiments.looks.texture import COARSER, FINER, Texture, Textured, texture
-from slefejax.experiments.looks.triangle_sizes import size_rows, triangle_size
-from slefejax.experiments.looks.values import depth, error, factors, normals
-from slefejax.experiments.looks.wire import wire
+from slefejax.experiments.looks.texture import COARSER, FINER, Texture, Textured
+from slefejax.experiments.looks.triangle_sizes import size_rows
 from slefejax.experiments.options import (
     LoadOptions,
     OutputOptions,
@@ -42,19 +39,6 @@ from slefejax.gpu import Device, Renderer, open_device
 from slefejax.predict.methods import label_of
 from slefejax.tessellator.levels import triangle_counts
 
-LOOKS = {
-    "shaded": Kind(shaded, normals=True),
-    "wire": Kind(wire, normals=True, wire=True),
-    "error": Kind(error),
-    "normals": Kind(normals, normals=True),
-    "reflection": Kind(reflection, normals=True),
-    "factors": Kind(factors),
-    "depth": Kind(depth),
-    "checker": Kind(checker),
-    "triangle-size": Kind(triangle_size, wire=True),
-    "texture": Kind(texture),
-}
-SIZES, TEXTURE = "triangle-size", "texture"
 _COLUMNS = ("look", "picture", "values", "median", "largest")
 
 
@@ -135,14 +119,10 @@ class Render:
         """Those that are asked for, each once."""
         check_positive("scale", self.scale)
         check_levels_are_real(self.prediction, self.spacing)
-        if not self.look:
-            raise InputError(f"--look needs at least one of {', '.join(LOOKS)}")
-        unknown = [name for name in self.look if name not in LOOKS]
-        if unknown:
-            raise InputError(no_such("look", unknown[0], LOOKS))
-        if self.texture is not None and TEXTURE not in self.look:
+        looks = chosen(self.look)
+        if self.texture is not None and TEXTURE not in looks:
             raise InputError("--texture has a meaning for --look texture only")
-        return list(dict.fromkeys(self.look))
+        return looks
 
     def _painted(self, scene: Scene, device: Device) -> Texture:
         """What the look texture shows."""
@@ -190,11 +170,7 @@ class _Drawn:
     @cached_property
     def look(self) -> Look:
         """What was drawn. Raises InputError where nothing is seen."""
-        kinds = [LOOKS[name] for name in self.options.look]
-        normals, tangents = self.shown.shaded.kind
-        drawn: dict[str, Any] = {"wire": any(kind.wire for kind in kinds)}
-        if any(kind.normals for kind in kinds):
-            drawn |= {"normals": normals, "tangents": tangents}
+        drawn = needed(self.options.look, self.shown.shaded)
         renderer = Renderer(self.shown.patches, self.device, self.options.spacing, **drawn)
         inner, outer = levels_of(self.factors, self.options.spacing, self.options.edges)
         view, spacing = self.shown.view, self.options.spacing

@@ -8,6 +8,7 @@ import numpy as np
 
 from slefejax.experiments.looks.made import Made
 from slefejax.experiments.studies.look import Look
+from slefejax.figures.error_image import error_colours
 from slefejax.figures.looks.pictures import write_errors, write_values
 
 _MOST = 0.995  # of the pixels; a few at outlines and creases are far worse than all others
@@ -17,6 +18,11 @@ def error(look: Look) -> Made:
     """How far from where it was drawn the exact surface has the point of every pixel."""
     shows = f"the error of every pixel, at most {np.nanmax(look.error):.2g} px"
     return Made(shows, partial(write_errors, error=look.error), {"error_px": look.error}, "error_px")
+
+
+def coloured_errors(look: Look) -> np.ndarray:
+    """The colours of the errors, of every pixel."""
+    return error_colours(look.error)[::-1] / 255.0
 
 
 def normals(look: Look) -> Made:

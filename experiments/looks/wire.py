@@ -6,10 +6,10 @@ from functools import partial
 
 import numpy as np
 
-from slefejax.experiments.looks.light import lit
+from slefejax.experiments.looks.light import shades
 from slefejax.experiments.looks.made import Made
 from slefejax.experiments.studies.look import Look
-from slefejax.figures.looks.pictures import write_wire
+from slefejax.figures.looks.pictures import wired, write_wire
 from slefejax.gpu import GBuffer
 
 _WIDTH = 1.0  # pixels
@@ -19,12 +19,16 @@ _AHEAD = 0.7  # cosine: how directly beyond a side a pixel lies
 def wire(look: Look) -> Made:
     """Sides of the triangles that are seen, as the tessellator made them."""
     seen = look.seen
-    assert seen.normal is not None
     assert seen.edge is not None
     assert seen.area is not None
-    draw = partial(write_wire, grey=lit(seen.normal.astype(np.float64), look.view), lines=lines(seen))
+    draw = partial(write_wire, grey=shades(look), lines=lines(seen))
     distance = np.linalg.norm(seen.edge, axis=-1)
     return Made("the triangles that are drawn", draw, {"side_px": distance, "area_px2": seen.area}, "side_px")
+
+
+def wire_colours(look: Look) -> np.ndarray:
+    """The same as colours of every pixel."""
+    return wired(shades(look), lines(look.seen))
 
 
 def lines(seen: GBuffer) -> np.ndarray:

@@ -14,6 +14,7 @@ from slefejax import GregoryPatches, Scene, Session, View
 from slefejax.arguments import on_host
 from slefejax.errors import InputError
 from slefejax.experiments.levels import Spacing, check_levels_are_real, unproved
+from slefejax.experiments.looks.kinds import FRAMES, LOOKS, chosen, needed
 from slefejax.experiments.options import FigureOptions, LoadOptions, PredictionOptions, ViewOptions, camera_record
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.shading import FOR_CERTIFIED, unclaimed_numbers
@@ -26,8 +27,10 @@ from slefejax.experiments.studies.modes import COLUMNS, MODES, mode_row
 from slefejax.experiments.studies.study import Case, Study, shown
 from slefejax.experiments.studies.times import milliseconds
 from slefejax.experiments.tables import write_csv
-from slefejax.figures.error_image import read_error_image, write_error_image
-from slefejax.figures.studies.animate import write_film, write_timeline, write_work
+from slefejax.figures.looks.film import write_film, write_frames, write_strip
+from slefejax.figures.looks.panels import Heading
+from slefejax.figures.page import Page
+from slefejax.figures.studies.animate import write_timeline, write_work
 from slefejax.gpu import Device, Renderer, open_device
 from slefejax.predict.methods import Certified, Options, Slefe
 
@@ -47,6 +50,8 @@ class Animate:
     frames: str = "24"
     """How many frames, spread over the motion from its first time on, before its last; or FIRST:LAST:STEP in its units
     of time."""
+    look: tuple[str, ...] = ("shaded", "wire", "error")
+    """What the film shows side by side: shaded, wire, error, reflection."""
     camera_path: str = "still"
     """still, orbit:DEGREES (around the target), zoom:FACTOR (so many times as close in the end), or a .csv file with
     the columns eye_x eye_y eye_z target_x target_y target_z."""
@@ -99,6 +104,7 @@ class Animate:
         if not (np.isfinite(self.seconds) and self.seconds >= 0):
             raise InputError(f"--seconds must not be negative, not {self.seconds}")
         check_levels_are_real(self.prediction, self.spacing)
+        chosen(self.look, FRAMES)
 
 
 def _of_normals(rows: list[Row], modes: list[Row]) -> tuple[str, ...]:
@@ -120,12 +126,22 @@ def _views(path: ViewPath, frames: Frames) -> list[View]:
 
 
 def picture_name(frame: int) -> str:
-    """File name of the error image of a frame."""
-    return f"error_frame_{frame:04d}.png"
+    """File name of the looks of a frame, without letters."""
+    return f"looks_{frame:04d}.png"
 
 
-def _said(scene: str, time: float, triangles: int, largest: float) -> str:
-    return f"{scene}, time {time:.4g}: {triangles:,} triangles, largest error {largest:.2f} px"
+def said(rows: list[Row], tolerance: float) -> list[tuple[str, str]]:
+    """What stands above every frame: which it is, and how right. Letters stay where they are."""
+    digits = len(str(len(rows)))
+    numbers = [f"frame {k:0{digits}} of {len(rows)}, {row['triangles']:,} triangles" for k, row in enumerate(rows, 1)]
+    return list(zip(numbers, (_how_right(row["max_error_px"], tolerance) for row in rows), strict=True))
+
+
+def _how_right(largest: float, tolerance: float) -> str:
+    if not np.isfinite(largest):
+        return "nothing of it is on the screen"
+    right = "every pixel is right" if largest <= tolerance else "not every pixel is right"
+    return f"{right} to within {tolerance:g} px: the largest error is {largest:.2f} px"
 
 
 def _reached(scene: Scene, frames: Frames, loading: LoadOptions) -> Scene:
@@ -176,6 +192,9 @@ class _Film:
     def __post_init__(self) -> None:
         self._shaded = self.options.prediction.shading.of(self.scene)
         self._renderer = self._make_renderer(**self._shaded.drawn)
+        self._looks = chosen(self.options.look, FRAMES)
+        own = needed(self._looks, self._shaded)
+        self._painter = self._make_renderer(**own) if own else None  # apart: what is timed draws nothing else
         self._levels: dict[int, Levels] = {}
 
     def _make_renderer(self, **drawn: Any) -> Renderer:
@@ -207,13 +226,21 @@ class _Film:
         beside.heard(own.factors)
         found = _Frame(own.patches, view, self._renderer, own.inner, own.outer, spacing, shown=beside, own=own)
         found.spent = {**own.milliseconds, "hand_over_ms": hand_over_ms, "render_ms": found.render_ms}
-        triangles, largest = size(found)["triangles"], float(np.nanmax(found.error, initial=0.0))
-        said = _said(self.scene.name, float(self.frames.times[frame]), triangles, largest)
-        write_error_image(self.run.file(picture_name(frame)), found.error, said)
+        write_strip(self.run.file(picture_name(frame)), self._pictures(found))
         if before is not None:
             other = self._renderer.draw(view, *before.drawn_with(own))
             found.changed = change_of_levels(before, own) | moves_of_pixels(own.patches, view, found.seen, other)
         return found
+
+    def _pictures(self, found: _Frame) -> list[np.ndarray]:
+        """The looks of a frame, side by side."""
+        painted: Look = found
+        if self._painter is not None:
+            self._painter.move(found.patches, found.own.tangents)
+            levels = found.inner, found.outer, found.spacing
+            painted = Look(found.patches, found.view, self._painter, *levels, shown=found.shown)
+        looks = [(LOOKS[name], FRAMES[name]) for name in self._looks]
+        return [frame.colours(painted if kind.normals or kind.wire else found) for kind, frame in looks]
 
     def modes(self) -> list[Row]:
         """How long frames take if the pose changes with each of them, 33 times a second, or never."""
@@ -240,6 +267,10 @@ class _Film:
         write_timeline(run.figure("timeline"), rows, name, self.options.prediction.tolerance)
         if modes:
             write_work(run.figure("time_of_a_frame"), modes, name, self.device.renderer)
-        pictures = [read_error_image(run.file(picture_name(row["frame"]))) for row in rows]
-        titles = [_said(name, row["time"], row["triangles"], row["max_error_px"]) for row in rows]
-        write_film(run.file("animation.gif"), pictures, titles, self.frames.seconds_a_frame)
+        caption = self.options.output.pages(self.options).caption
+        pages = [Page(run.file(f"frame_{row['frame']:04d}.png"), caption) for row in rows]
+        headings = [Heading(name, *own) for own in said(rows, self.options.prediction.tolerance)]
+        titles = {FRAMES[look].says: look == "error" for look in self._looks}
+        with progress("film", len(rows)) as show:
+            write_frames(pages, headings, [run.file(picture_name(row["frame"])) for row in rows], titles, show)
+        write_film(run.file("animation.gif"), pages, self.frames.seconds_a_frame)

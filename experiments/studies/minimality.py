@@ -12,8 +12,7 @@ import tyro
 
 from slefejax import Factors, GregoryPatches, Scene, View, pack
 from slefejax.experiments.levels import Edges, check_seen, levels_of
-from slefejax.experiments.looks.light import lit
-from slefejax.experiments.looks.wire import lines
+from slefejax.experiments.looks.wire import wire_colours
 from slefejax.experiments.options import (
     FigureOptions,
     LoadOptions,
@@ -38,6 +37,8 @@ from slefejax.experiments.studies.measures import (
 )
 from slefejax.experiments.studies.study import Case, Study
 from slefejax.figures.error_image import write_error_image
+from slefejax.figures.looks.panels import Heading
+from slefejax.figures.studies.enough import told_apart, write_enough
 from slefejax.figures.studies.minimality import Wire, write_factor_map, write_minimality_figure
 from slefejax.gpu import Renderer, open_device
 from slefejax.gpu.renderer import check_levels
@@ -168,18 +169,31 @@ class _Sweep:
         labels = _labels(patch, np.asarray(self.factors.factor, float))
         images = [self.run.file(error_name(row["scale"])) for row in rows]
         shown = (painted, labels, self.shown.scene.name, self.options.prediction.asked)
-        write_minimality_figure(self.run.figure("minimality"), rows, images, *shown, self.wire())
-        write_factor_map(self.run.figure("factors"), *shown)
-
-    def wire(self) -> Wire:
-        """The triangles of scale 1, or of the largest, as lines over shading."""
         scales = self.options.scales
-        scale = 1.0 if 1.0 in scales else max(scales)
-        renderer = Renderer(self.shown.patches, self.renderer.device, normals=True, wire=True)
-        seen = renderer.draw(self.shown.view, *self.levels(scale))
+        main = 1.0 if 1.0 in scales else max(scales)
+        told = told_apart(rows, self.options.prediction.tolerance)
+        wires = self.wires([main, *(row["scale"] for row, _ in told)])
+        write_minimality_figure(self.run.figure("minimality"), rows, images, *shown, Wire(main, wires[0]))
+        write_factor_map(self.run.figure("factors"), *shown)
+        images = [self.run.file(error_name(row["scale"])) for row, _ in told]
+        write_enough(self.run.figure("enough"), told, wires[1:], images, self.heading)
+
+    @property
+    def heading(self) -> Heading:
+        """Of the figure that is understood at a glance."""
+        view, asked = self.shown.view, f"{self.options.prediction.tolerance:g} px"
+        how = f"method {label_of(self.options.prediction.value())}, {view.width} x {view.height} pixels"
+        return Heading(
+            self.shown.scene.name, f"how many triangles are enough, so that no pixel is off by more than {asked}?", how
+        )
+
+    def wires(self, scales: list[float]) -> list[np.ndarray]:
+        """Of each scale the triangles as lines over shading, as colours."""
+        (patches, view), device = (self.shown.patches, self.shown.view), self.renderer.device
+        renderer = Renderer(patches, device, normals=True, wire=True)
+        found = [wire_colours(Look(patches, view, renderer, *self.levels(scale))) for scale in scales]
         renderer.release()
-        assert seen.normal is not None
-        return Wire(scale, lit(seen.normal.astype(np.float64), self.shown.view), lines(seen))
+        return found
 
 
 def error_name(scale: float) -> str:

@@ -13,6 +13,7 @@ from slefejax.figures.style import SETTINGS, bare, drawing, occupied, show_pixel
 
 _DPI = SETTINGS["figure.dpi"]
 _SMALL = 480  # pixels: a smaller picture is enlarged
+LEGEND = 0.95  # inches below a picture: a title and two lines
 CLOSER = 4  # times as large, of what is shown once more
 _NARROWEST, _NARROWEST_PANEL = 6.2, 2.6  # inches of a page, and of a panel with a title
 _AROUND, _TITLE = 0.3, 0.6  # inches that a panel needs beside its picture, and above it for a title
@@ -49,6 +50,8 @@ def panels(
     there: np.ndarray,
     titles: tuple[str, ...] = ("",),
     *,
+    rows: int = 1,
+    above: float = _TITLE,
     bar: float = 0.0,
     beside: float = 0.0,
     below: float = 0.0,
@@ -57,25 +60,26 @@ def panels(
     """A page with panels for what is seen of pictures of one size; written when the block is left.
 
     there  : where anything is seen, ``(height, width)``, row 0 at the bottom
-    titles : of the panels
+    titles : of the panels of a row
+    rows   : how many rows of whole pictures
+    above  : inches of the titles, which stand above the first row
     bar    : inches that a colour bar of the panel takes
     beside : inches of axes to the right of them; none if 0
     below  : inches to keep free for a legend
     close  : rows and columns of a part of the pictures that as many panels below them show ``CLOSER``
     """
     crop = occupied(there)
-    rows, columns = there[crop].shape
-    zoom = max(1, _SMALL // max(rows, columns))
+    tall, wide = there[crop].shape
+    zoom = max(1, _SMALL // max(tall, wide))
     titled = any(titles)
-    panel = max(zoom * columns / _DPI, _NARROWEST_PANEL * titled) + _AROUND + bar
+    panel = max(zoom * wide / _DPI, _NARROWEST_PANEL * titled) + _AROUND + bar
     inside = len(titles) * panel + beside
     across = max(_NARROWEST, inside)
-    heights = [zoom * rows / _DPI + _AROUND + _TITLE * titled]
+    heights = [zoom * tall / _DPI + _AROUND] * rows
     if close is not None:
         heights.append(CLOSER * zoom * close[0] / _DPI + _AROUND)
-    with drawing(
-        page, across, sum(heights) + below, f"{heading.scene}: {heading.shows}\n{heading.how}", grid=False
-    ) as figure:
+    title = f"{heading.scene}: {heading.shows}\n{heading.how}"
+    with drawing(page, across, sum(heights) + above * titled + below, title, grid=False) as figure:
         edge = max(0.5 * (across - inside), 1e-3)
         widths = [edge, len(titles) * panel, *[beside] * bool(beside), edge]
         _, middle, *right, _ = figure.subfigures(1, len(widths), width_ratios=widths)

@@ -10,7 +10,7 @@ from matplotlib.patches import Patch, Rectangle
 
 from slefejax.figures.checks.limit import stripe_greys
 from slefejax.figures.error_image import error_colours
-from slefejax.figures.looks.panels import Heading, panels
+from slefejax.figures.looks.panels import LEGEND, Heading, panels
 from slefejax.figures.page import Page
 from slefejax.figures.style import (
     BACKGROUND,
@@ -24,7 +24,7 @@ from slefejax.figures.style import (
     legend_below,
 )
 
-_LEGEND, _ONE_LINE = 0.95, 0.4  # inches below: a title and two lines, or a line
+_ONE_LINE = 0.4  # inches below: a legend of a line
 _BAR, _BARS = 1.6, 1.7  # inches beside: a colour bar with its label, or two bars with shares
 
 
@@ -43,7 +43,7 @@ def write_values(page: Page, heading: Heading, values: np.ndarray, label: str, p
 
 def write_errors(page: Page, heading: Heading, error: np.ndarray) -> None:
     """Errors of pixels in the colours of [YBP12], NaN for background."""
-    with panels(page, heading, ~np.isnan(error), below=_LEGEND) as own:
+    with panels(page, heading, ~np.isnan(error), below=LEGEND) as own:
         own.show(0, error_colours(error)[::-1])
         error_legend(own.figure)
 
@@ -53,7 +53,7 @@ def write_greys(page: Page, heading: Heading, greys: list[np.ndarray], titles: l
     there = np.any([~np.isnan(grey) for grey in greys], axis=0)
     with panels(page, heading, there, tuple(titles)) as own:
         for number, grey in enumerate(greys):
-            own.show(number, _grey(grey))
+            own.show(number, grey_colours(grey))
 
 
 def write_textured(
@@ -100,7 +100,7 @@ def write_wire(page: Page, heading: Heading, grey: np.ndarray, lines: np.ndarray
 def wired(grey: np.ndarray, lines: np.ndarray) -> np.ndarray:
     """``(height, width, 3)``: lines over grey that is lightened, so that they stand out."""
     share = lines[..., None]
-    return (1.0 - share) * _grey(0.45 + 0.55 * grey) + share * np.array(to_rgb(LINES))
+    return (1.0 - share) * grey_colours(0.45 + 0.55 * grey) + share * np.array(to_rgb(LINES))
 
 
 def write_checker(page: Page, heading: Heading, squares: np.ndarray, label: str) -> None:
@@ -116,7 +116,7 @@ def write_sizes(page: Page, heading: Heading, classes: np.ndarray, rows: list[di
     classes : number of the row of every pixel, -1 for background
     rows    : with class, share_of_pixels, share_of_triangles
     """
-    with panels(page, heading, classes >= 0, below=_LEGEND, beside=_BARS) as own:
+    with panels(page, heading, classes >= 0, below=LEGEND, beside=_BARS) as own:
         own.show(0, _in_colours(classes, SIZE_COLOURS))
         _shares(own.beside, rows)
         names = [row["class"] for row in rows]
@@ -143,6 +143,6 @@ def _in_colours(numbers: np.ndarray, colours: tuple[str, ...]) -> np.ndarray:
     return np.array([to_rgb(colour) for colour in (*colours, BACKGROUND)])[numbers]
 
 
-def _grey(values: np.ndarray) -> np.ndarray:
+def grey_colours(values: np.ndarray) -> np.ndarray:
     """As colours; background is white."""
     return np.repeat(np.where(np.isnan(values), 1.0, values)[..., None], 3, axis=-1)

@@ -1,20 +1,15 @@
-"""A scene in motion: triangles and error over time, where the time goes, and the film itself."""
+"""A scene in motion: triangles and error over time, and where the time goes."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.colors import to_rgb
-from PIL import Image
 
-from slefejax.figures.error_image import error_page
 from slefejax.figures.page import Page
 from slefejax.figures.style import (
     BACKGROUND,
     COLOURS,
-    ERROR_CLASSES,
     FAINT,
     HATCHES,
     QUIET,
@@ -24,7 +19,6 @@ from slefejax.figures.style import (
     legend_below,
     level,
     method_style,
-    occupied,
     on_picture,
 )
 
@@ -41,8 +35,6 @@ PARTS = {
     "render_ms": ("rendering", COLOURS[0]),
 }
 _LEAST = 4.0  # per cent of a bar that has room for a number
-_WIDEST = 720  # pixels of the film
-_LEAST_WIDE = 600  # so that titles of frames are one line
 
 
 def write_timeline(page: Page, rows: Rows, scene: str, tolerance: float) -> None:
@@ -111,38 +103,3 @@ def _shares(part: Any, bars: list[tuple[str, dict[str, Any]]]) -> None:
     axes.set_xlabel("share of a frame whose pose and view are new (%)")
     axes.grid(visible=False)
     legend_below(part)
-
-
-def write_film(path: Path, pictures: list[np.ndarray], titles: list[str], seconds_a_frame: float) -> None:
-    """Error images as an animated GIF that repeats. ``pictures``: of ``read_error_image``, one a frame."""
-    box = occupied(np.any([np.any(picture != 1.0, axis=2) for picture in pictures], axis=0))
-    frames = [_frame(picture[box], title) for picture, title in zip(pictures, titles, strict=True)]
-    high = max(frame.height for frame in frames)
-    frames = [_of_height(frame, high).quantize(palette=_palette(), dither=Image.Dither.NONE) for frame in frames]
-    # GIF counts in hundredths of a second, and viewers slow down below 2
-    duration = max(20, 10 * round(100 * seconds_a_frame))
-    frames[0].save(path, save_all=True, append_images=frames[1:], duration=duration, loop=0, optimize=False)
-
-
-def _frame(picture: np.ndarray, title: str) -> Image.Image:
-    """The picture, no wider than the film, on its page."""
-    image = Image.fromarray((255 * picture).astype(np.uint8))
-    scale = min(1.0, _WIDEST / image.width)
-    image = image.resize((max(1, round(scale * image.width)), max(1, round(scale * image.height))))
-    return error_page(image, title, _LEAST_WIDE, scale)[0]
-
-
-def _of_height(frame: Image.Image, high: int) -> Image.Image:
-    """With an empty strip below: a title of two lines makes a page higher."""
-    page = Image.new("RGB", (frame.width, high), BACKGROUND)
-    page.paste(frame, (0, 0))
-    return page
-
-
-def _palette() -> Image.Image:
-    """The colours of the classes and greys for text: a palette of the picture's own would leave out rare ones."""
-    classes = [round(255 * part) for _, colour, _ in ERROR_CLASSES for part in to_rgb(colour)]
-    greys = [grey for level in range(0, 256, 15) for grey in (level,) * 3]
-    palette = Image.new("P", (1, 1))
-    palette.putpalette(classes + greys)
-    return palette

@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from slefejax.figures.error_image import read_error_image
-from slefejax.figures.looks.pictures import wired
 from slefejax.figures.page import Page
 from slefejax.figures.style import (
     FACTOR_MAP,
@@ -31,11 +30,10 @@ Label = tuple[float, float, str]
 
 
 class Wire(NamedTuple):
-    """The triangles of a scale: grey and lines as ``figures.looks.pictures.wired`` takes them."""
+    """The triangles of a scale, as colours of every pixel."""
 
     scale: float
-    grey: np.ndarray
-    lines: np.ndarray
+    colours: np.ndarray
 
 
 def write_factor_map(page: Page, factor: np.ndarray, labels: list[Label], scene: str, asked: str) -> None:
@@ -106,7 +104,7 @@ def _paint_factors(part: Any, factor: np.ndarray, labels: list[Label], box: Box)
 
 def _show_wire(part: Any, wire: Wire, box: Box) -> None:
     axes = part.subplots()
-    axes.imshow(wired(wire.grey, wire.lines)[box], origin="lower", interpolation="antialiased")
+    axes.imshow(wire.colours[box], origin="lower", interpolation="antialiased")
     bare(axes, f"the triangles that are drawn, scale {wire.scale:g}")
 
 
