@@ -33,7 +33,11 @@ FRAMES = {name: kind.frame for name, kind in LOOKS.items() if kind.frame is not 
 
 
 def chosen(names: Sequence[str], among: Collection[str] = LOOKS) -> list[str]:
-    """The names of ``--look``, each once. Raises InputError where there is none, or one that is none of those."""
+    """The names of ``--look``, each once. Raises InputError where there is none, or one that is none of those.
+
+    >>> chosen(["wire", "error", "wire"])
+    ['wire', 'error']
+    """
     if not names:
         raise InputError(f"--look needs at least one of {', '.join(among)}")
     unknown = [name for name in names if name not in among]
