@@ -33,7 +33,7 @@ def error_colours(error: np.ndarray) -> np.ndarray:
 
 def write_error_image(path: Path, error: np.ndarray, title: str) -> None:
     """A PNG: below a title one pixel of the picture a pixel of the screen, a scale, and what the colours mean."""
-    page, box = error_page(Image.fromarray(error_colours(error)), title)
+    page, box = _page(Image.fromarray(error_colours(error)), title)
     kept = PngInfo()
     kept.add_text(_KEPT, " ".join(map(str, box)))
     page.save(path, format="PNG", pnginfo=kept)
@@ -46,15 +46,10 @@ def read_error_image(path: Path) -> np.ndarray:
         return np.asarray(page.convert("RGB"), float)[top:bottom, left:right] / 255
 
 
-def error_page(
-    picture: Image.Image, title: str, wide: int = 0, scale: float = 1.0
-) -> tuple[Image.Image, tuple[int, int, int, int]]:
-    """The picture on a page at least so many pixels wide, and where it is: left, top, right, bottom.
-
-    scale : pixels of the picture a pixel of the screen
-    """
+def _page(picture: Image.Image, title: str) -> tuple[Image.Image, tuple[int, int, int, int]]:
+    """The picture on a page, and where it is there: left, top, right, bottom."""
     font = ImageFont.truetype(findfont("DejaVu Sans"), _FONT)
-    wide = max(wide, picture.width, _NARROWEST)
+    wide = max(picture.width, _NARROWEST)
     above = wrapped(title, _SAFE * (wide - 2 * _EDGE), _FONT).split("\n")
     below = _rows([name for _, _, name in ERROR_CLASSES], font, wide)
     top = _LINE * len(above) + 2 * _EDGE
@@ -65,7 +60,7 @@ def error_page(
     for number, line in enumerate(above):
         draw.text((_EDGE, _EDGE + number * _LINE), line, INK, font)
     start = top + picture.height + _EDGE
-    _draw_scale(draw, font, wide, start, picture.width, scale)
+    _draw_scale(draw, font, wide, start, picture.width)
     colours = {name: colour for _, colour, name in ERROR_CLASSES}
     for number, names in enumerate(below):
         x, y = float(_EDGE), start + (number + 1) * _LINE
@@ -76,16 +71,16 @@ def error_page(
     return page, (left, top, left + picture.width, top + picture.height)
 
 
-def _draw_scale(draw: Any, font: Any, wide: int, y: float, width: int, scale: float) -> None:
+def _draw_scale(draw: Any, font: Any, wide: int, y: float, width: int) -> None:
     """A bar of 1, 2 or 5 times a power of ten pixels of the screen, and what the colours say."""
-    shown = width / scale
-    power = 10.0 ** np.floor(np.log10(max(1.0, shown / 5)))
-    pixels = power * max(k for k in (1, 2, 5) if k * power <= max(1.0, shown / 5))
+    most = max(1.0, width / 5)
+    power = 10.0 ** np.floor(np.log10(most))
+    pixels = power * max(k for k in (1, 2, 5) if k * power <= most)
     draw.text((_EDGE, y - 3), "error of a pixel:", INK, font)
     name = f"{pixels:g} px"
     right = wide - _EDGE - font.getlength(name) - 6
     draw.text((right + 6, y - 3), name, INK, font)
-    draw.line((right - pixels * scale, y + 7, right, y + 7), INK, 3)
+    draw.line((right - pixels, y + 7, right, y + 7), INK, 3)
 
 
 def _rows(names: list[str], font: Any, wide: int) -> list[list[str]]:
