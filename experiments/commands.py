@@ -13,6 +13,7 @@ COMMANDS = {
     "minimality": "studies.minimality:Minimality",
     "factors": "checks.factors:FactorsOfScene",
     "inspect": "checks.inspect:Inspect",
+    "study": "grid.command:StudyOfFile",
     "render": "looks.render:Render",
     "animate": "studies.animate:Animate",
     "certify": "studies.certify:Certify",

@@ -7,7 +7,6 @@ a finished run is put into place, and its rows are forgotten after that.
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import os
@@ -22,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from slefejax.errors import InputError
+from slefejax.experiments.rows import Rows, locked
 from slefejax.experiments.tables import Row, strict, write_tables
 from slefejax.figures.page import Page, Pages
 
@@ -45,11 +45,11 @@ class Run:
         self._pages, self._first = pages or Pages(), _TABLE
         self._out = out.resolve() if out else None
         self.parent = self._out.parent if self._out else Path("runs") / experiment
-        asked = [experiment, arguments, inputs, str(self._out), _versions(), _commit(), _COLUMNS]
+        asked = [experiment, arguments, inputs, str(self._out), versions(), commit(), _COLUMNS]
         asked += [self._pages.format]
         text = json.dumps(asked, sort_keys=True, default=str)
         self.work = self.parent / f".{experiment}-{digest(text.encode())}.partial"
-        self._rows_file = self.work / _ROWS
+        self._rows = Rows(self.work / _ROWS)
         if (
             self._out
             and self._out.exists()
@@ -91,19 +91,12 @@ class Run:
 
     def rows(self) -> list[Row]:
         """Rows found so far, those of an earlier, stopped run of the same included."""
-        if not self._rows_file.exists():
-            return []
-        return [row for line in self._rows_file.read_text().splitlines() if (row := _whole(line)) is not None]
+        return self._rows()
 
     def add(self, row: Row) -> None:
         """Keep a row at once, so that it survives whatever happens next."""
         self._make_folder()
-        with self._rows_file.open("a+b") as file:
-            # a run that was stopped, or whose disk was full, may have left half a line
-            torn = file.seek(0, os.SEEK_END) and (file.seek(-1, os.SEEK_END), file.read(1))[1] != b"\n"
-            file.write(b"\n" * bool(torn) + json.dumps(row).encode() + b"\n")
-            file.flush()
-            os.fsync(file.fileno())
+        self._rows.add(row)
 
     def each(
         self,
@@ -132,17 +125,7 @@ class Run:
         """Write the table and the record, and put the run's folder into place. Returns the folder."""
         self._make_folder()
         write_tables(self.work, "table", rows)
-        content = {
-            "experiment": self.experiment,
-            "open_first": self._first,
-            "arguments": self.arguments,
-            "time": datetime.now().astimezone().isoformat(timespec="seconds"),
-            "versions": _versions(),
-            "commit": _commit(),
-            "machine": {"system": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
-            **record,
-        }
-        self.file(_RECORD).write_text(json.dumps(strict(content), indent=2, default=str, allow_nan=False) + "\n")
+        write_record(self.work, self.experiment, self.arguments, self._first, record)
         place = self._into_place()
         for name in (_ROWS, _LOCK):
             (place / name).unlink(missing_ok=True)
@@ -169,22 +152,26 @@ class Run:
         return place
 
     def _make_folder(self) -> None:
-        if self._lock is not None:
-            return
-        try:
-            self.work.mkdir(parents=True, exist_ok=True)
-            self._lock = os.open(self.work / _LOCK, os.O_CREAT | os.O_RDWR)
-        except OSError as error:
-            raise InputError(f"the results cannot be written to {self.parent}: {error.strerror or error}") from None
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            os.close(self._lock)
-            self._lock = None
-            raise InputError(f"the same run is under way in another process ({self.work}): wait for it") from None
+        if self._lock is None:
+            self._lock = locked(self.work, _LOCK)
 
 
 _LOCK, _ROWS, _RECORD, _TABLE = "lock", "rows.jsonl", "run.json", "table.csv"
+
+
+def write_record(folder: Path, experiment: str, arguments: Row, first: str, more: Row) -> None:
+    """What was asked for, by what, where and when; ``first``: the file to open first."""
+    content = {
+        "experiment": experiment,
+        "open_first": first,
+        "arguments": arguments,
+        "time": datetime.now().astimezone().isoformat(timespec="seconds"),
+        "versions": versions(),
+        "commit": commit(),
+        "machine": machine(),
+        **more,
+    }
+    (folder / _RECORD).write_text(json.dumps(strict(content), indent=2, default=str, allow_nan=False) + "\n")
 
 
 def open_first(folder: Path) -> Path:
@@ -197,14 +184,13 @@ def digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:12]
 
 
-def _whole(line: str) -> Row | None:
-    try:
-        return json.loads(line)
-    except ValueError:
-        return None
+def machine() -> dict[str, Any]:
+    """What this one is."""
+    return {"system": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()}
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Of Python and of the packages that numbers depend on."""
     found = {"python": platform.python_version()}
     for name in PACKAGES:
         try:
@@ -214,7 +200,7 @@ def _versions() -> dict[str, str]:
     return found
 
 
-def _commit() -> str | None:
+def commit() -> str | None:
     """The commit of the checkout that this code runs from, if it is one."""
     here = Path(__file__).resolve().parent
     if not (here.parent / ".git").exists():

@@ -53,6 +53,7 @@ __version__: str  # of the installed package, read from its metadata when it is 
 
 if TYPE_CHECKING:
     from slefejax.bounds.rivals import enclose_curve, enclose_surface
+    from slefejax.experiments.grid.plan import Study
     from slefejax.study.curves import curve_constant
     from slefejax.study.fitting import Fit, bootstrap_km, fit_km
     from slefejax.study.relaxing import Relaxed, fewer_triangles
@@ -60,6 +61,7 @@ if TYPE_CHECKING:
 # Modules that need packages which take long to import: imported when a name of theirs is first used.
 _LATER = {
     "bounds.rivals": ("enclose_curve", "enclose_surface"),
+    "experiments.grid.plan": ("Study",),
     "study.curves": ("curve_constant",),
     "study.fitting": ("Fit", "bootstrap_km", "fit_km"),
     "study.relaxing": ("Relaxed", "fewer_triangles"),
@@ -86,6 +88,7 @@ __all__ = [
     "Session",
     "Slefe",
     "SlefeTable",
+    "Study",
     "Triangulation",
     "View",
     "bootstrap_km",

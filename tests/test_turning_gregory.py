@@ -270,6 +270,16 @@ def test_grids_keep_the_angle(rng, kind):
         assert max(on_cell(patches, k, *cell, places=7) for cell in cells) <= 4.0
 
 
+def test_single_precision_tells_nearly_the_same(rng):
+    """Rounding counts, and is a thousandth of these angles."""
+    patches = patches_of(rng, "quads", 4)
+    exact, rounded = (
+        np.asarray(tessellation_factors(own, ABOVE, tolerance=1e6, normal_tolerance=4.0).factor)
+        for own in (patches, patches.astype(np.float32))
+    )
+    np.testing.assert_allclose(rounded, exact, rtol=1e-2)
+
+
 @pytest.mark.slow
 def test_without_twists_they_are_bezier_patches(rng):
     net = patches_of(rng, "quads", 4).net

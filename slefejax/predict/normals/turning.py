@@ -135,7 +135,8 @@ class _Tile(NamedTuple):
             square, spun = solved(terms, maxima), jnp.zeros_like(second)
         else:
             square = solved(self._with_twists(terms, self.spun, apart, angle, maxima), maxima)
-            square = smallest_along(maxima.largest([square, self.spun.coarsest**2]), (0,))
+            coarsest = self.spun.coarsest.astype(square.dtype)
+            square = smallest_along(maxima.largest([square, coarsest**2]), (0,))
             spun = jnp.where(self.spun.size > 0, square, 0.0)
         square = square * (1.0 + 128.0 * float(jnp.finfo(self.net.dtype).eps))
         return Turning(square, second / 8.0, spun, corners * tiles**2 / (8.0 * angle), self.deep)

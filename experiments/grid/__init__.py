@@ -1,0 +1,1 @@
+"""Studies: grids of scenes, views, tolerances, methods and more, as a file says them, a row a case."""
