@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from functools import lru_cache
 from typing import Any
@@ -16,6 +17,9 @@ from matplotlib.transforms import Bbox
 _DIRECTIONS = ((1, 1), (1, -1), (-1, 1), (-1, -1), (0, 1), (0, -1), (1, 0), (-1, 0))
 _DISTANCES = (6.0, 14.0, 26.0, 42.0, 64.0, 90.0)  # points between a mark and its label
 _FIRST_FAR = 14.0  # from which a line leads to the mark
+# blanks that lines are not broken at: of a size such as 480 x 360, and before a unit
+_UNBROKEN = re.compile(r"(?<=\d) (?=x \d)|(?<=\d x) (?=\d)|(?<=\d) (?=(?:px²?|pixels?|ms|%|degrees?)(?!\w))")
+_KEPT = "\u00a0"
 _SAMPLES = 64  # of a piece of a line
 _LEAST_ROOM = 60.0  # points of a line
 _STEPS = (
@@ -38,14 +42,17 @@ def room_of(part: Any) -> float:
 
 
 def wrapped(text: str, room: float, size: float) -> str:
-    """The text in lines of at most so many points; a word that is longer is broken, formulas are not."""
+    """The text in lines of at most so many points; a word that is longer is broken, formulas are not.
+
+    A number stays with its unit, and so do the two of a size.
+    """
     lines = []
-    for line in text.split("\n"):
+    for line in _UNBROKEN.sub(_KEPT, text).split("\n"):
         if "$" in line:
             lines.append(line)
             continue
         now = ""
-        for word in line.split(" "):
+        for word in _words(line, room, size):
             for piece in _pieces(word, room, size):
                 longer = f"{now} {piece}" if now else piece
                 if now and width_of(longer, size) > room:
@@ -54,7 +61,13 @@ def wrapped(text: str, room: float, size: float) -> str:
                 else:
                     now = longer
         lines.append(now)
-    return "\n".join(lines)
+    return "\n".join(lines).replace(_KEPT, " ")
+
+
+def _words(line: str, room: float, size: float) -> list[str]:
+    """What is not broken, unless it is longer than a line."""
+    words = line.split(" ")
+    return [own for word in words for own in (word.split(_KEPT) if width_of(word, size) > room else [word])]
 
 
 def _pieces(word: str, room: float, size: float) -> Iterator[str]:

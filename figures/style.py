@@ -37,9 +37,14 @@ WRONG = ERROR_CLASSES[-1][1]
 FACTOR_MAP = "viridis"
 DIVERGING_MAP = "RdBu_r"
 GREY_MAP = "gray"
-ORDERED_MAP = "cividis"
-# Triangles by area, small to large, blue, green, red and white in [YBP12]: here the background is white
-SIZE_COLOURS = (*(colour for _, colour, _ in ERROR_CLASSES[1:]), "#e4e0d8")
+# Triangles by their area on the screen in [YBP12], section 7, blue, green, red and white there: here the background is
+# white. (limit in square pixels, colour, name)
+SIZE_CLASSES = (
+    (5.0, ERROR_CLASSES[1][1], "< 5 px²"),
+    (10.0, ERROR_CLASSES[2][1], "5 to 10 px²"),
+    (20.0, ERROR_CLASSES[3][1], "10 to 20 px²"),
+    (float("inf"), "#e4e0d8", "≥ 20 px²"),
+)
 CHECKER = ("#f2efe9", "#3f5f7f")
 UNTEXTURED = "#b0b0b0"  # faces without texture coordinates
 
@@ -80,6 +85,7 @@ SETTINGS: dict[Any, Any] = {
     "xtick.labelsize": SMALL,
     "ytick.labelsize": SMALL,
     "axes.grid": True,
+    "axes.axisbelow": True,  # lines of the grid are over nothing
     "grid.alpha": 0.3,
     "figure.dpi": 100,
     "savefig.dpi": 100,
@@ -176,8 +182,17 @@ def legend_below(part: Any, handles: Sequence[Any] | None = None, title: str | N
 
 def error_legend(part: Any) -> None:
     """The error colours and what they mean, below a figure or a part of one."""
-    handles = [Patch(facecolor=colour, edgecolor=LINES, lw=0.6, label=name) for _, colour, name in ERROR_CLASSES]
-    legend_below(part, handles, "error of a pixel")
+    _class_legend(part, ERROR_CLASSES, "error of a pixel")
+
+
+def size_legend(part: Any) -> None:
+    """The colours of triangles by their area, as ``error_legend``."""
+    _class_legend(part, SIZE_CLASSES, "area of a triangle on the screen")
+
+
+def _class_legend(part: Any, classes: Sequence[tuple[float, str, str]], title: str) -> None:
+    handles = [Patch(facecolor=colour, edgecolor=LINES, lw=0.6, label=name) for _, colour, name in classes]
+    legend_below(part, handles, title)
 
 
 def bare(axes: Any, title: str = "") -> None:

@@ -29,6 +29,7 @@ def test_run(device, capsys):
     for row in result["table"]:
         assert 0 <= row["share_above_1"] <= row["share_above_0.5"] <= row["share_above_0.1"] <= 1
         assert row["share_area_below_0.5"] <= row["share_area_below_20"] <= 1
+        assert 0 <= row["share_pixels_area_below_5"] <= row["share_pixels_area_below_20"] <= 1
         # pixels see less than the whole domain; edges that share levels see more
         assert row["max_error_px"] <= row["drawn_sup_error_px"] + 0.01
         assert (row["slipped_pixels"] > 0) == (row["max_slip_px"] > SLIPPED)

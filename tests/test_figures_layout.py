@@ -240,6 +240,17 @@ def test_numbers_and_lines_as_they_are_written():
     assert "".join(lines).replace(" ", "") == f"shortwordsand{LONG}"
 
 
+def test_lines_keep_sizes_and_units_together():
+    """Whatever the room: no line begins with a unit, or in the middle of a size."""
+    text = "at 0.5 px and 3 degrees, 20 x 15 pixels, of 5 patterns"
+    for room in range(110, 320, 10):
+        lines = wrapped(text, room, 12).split("\n")
+        assert " ".join(lines) == text
+        assert not any(line.startswith(("px", "degrees", "x", "15", "pixels")) for line in lines), lines
+    assert wrapped(text, 110, 12).count("\n") == 3
+    assert wrapped(text, 60, 12).split("\n")[-4:] == ["20 x 15", "pixels, of", "5", "patterns"], "rather than letters"
+
+
 # Machado, Oliveira, Fernandes, IEEE TVCG 15 (6), 2009, of the severest kind; for linear RGB
 VISIONS = {
     "normal": np.eye(3),

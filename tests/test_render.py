@@ -20,6 +20,7 @@ from slefejax.experiments.looks.checker import squares
 from slefejax.experiments.looks.light import lit
 from slefejax.experiments.looks.triangle_sizes import CLASSES, size_rows
 from slefejax.experiments.store import open_first
+from slefejax.experiments.studies.measures import areas
 from slefejax.figures.error_image import error_colours
 from slefejax.figures.looks.panels import Heading
 from slefejax.figures.looks.pictures import wired, write_errors, write_values
@@ -247,12 +248,15 @@ def test_sizes_of_triangles_by_hand(device):
     levels = np.full((2, 6), 4)
     view = above(height=3.0, size=120)
     renderer = Renderer(patches, device, wire=True)
-    seen, made = (act(view, levels[:, :2], levels[:, 2:]) for act in (renderer.draw, renderer.capture))
-    look: Any = SimpleNamespace(seen=seen, captured=made, view=view)
+    asked = view, levels[:, :2], levels[:, 2:]
+    look: Any = SimpleNamespace(area=renderer.draw(*asked).area, captured=renderer.capture(*asked), view=view)
     rows = size_rows(look)
     assert [row["pixels"] for row in rows] == [64, 0, 0, 1600]
     assert [row["triangles"] for row in rows] == [32, 0, 0, 32]
     assert [row["share_of_triangles"] for row in rows] == [0.5, 0.0, 0.0, 0.5]
+    shares = areas(look)  # the same classes in a study's table
+    assert [shares[f"share_area_below_{limit}"] for limit in (0.5, 5, 10, 20)] == [0.0, 0.5, 0.5, 0.5]
+    assert [shares[f"share_pixels_area_below_{limit}"] for limit in (5, 10, 20)] == [64 / 1664] * 3
 
 
 def test_levels_of_factors(teapot, main_view):

@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 from functools import partial
-from itertools import pairwise
 
 import numpy as np
 
 from slefejax.experiments.looks.made import Made
 from slefejax.experiments.store import Row
 from slefejax.experiments.studies.look import Look
-from slefejax.experiments.studies.measures import AREAS, areas_on_screen
+from slefejax.experiments.studies.measures import SIZES, areas_on_screen
 from slefejax.figures.looks.pictures import write_sizes
+from slefejax.figures.style import SIZE_CLASSES
 
-LIMITS = AREAS[1:]  # square pixels
-CLASSES = (
-    f"< {LIMITS[0]:g} px²",
-    *(f"{low:g} to {high:g} px²" for low, high in pairwise(LIMITS)),
-    f"≥ {LIMITS[-1]:g} px²",
-)
+CLASSES = tuple(name for _, _, name in SIZE_CLASSES)
 
 
 def triangle_size(look: Look) -> Made:
     """The class of the triangle that is seen, and how pixels and triangles divide among the classes."""
-    area = look.seen.area
-    assert area is not None
+    area = look.area
     draw = partial(write_sizes, classes=classes_of(area), rows=size_rows(look))
     return Made("how large triangles are", draw, {"area_px2": area}, "area_px2")
 
@@ -34,9 +28,7 @@ def size_rows(look: Look) -> list[Row]:
 
     Triangles are all that were made in front of the camera, hidden ones and those without a pixel, too.
     """
-    area = look.seen.area
-    assert area is not None
-    pixels = _counts(classes_of(area))
+    pixels = _counts(classes_of(look.area))
     triangles = _counts(classes_of(areas_on_screen(look.captured, look.view)))
     return [
         {
@@ -56,7 +48,7 @@ def classes_of(area: np.ndarray) -> np.ndarray:
     >>> classes_of(np.array([0.0, 4.9, 5.0, 10.0, 20.0, np.nan])).tolist()
     [0, 0, 1, 2, 3, -1]
     """
-    return np.where(np.isnan(area), -1, np.searchsorted(LIMITS, np.nan_to_num(area), side="right"))
+    return np.where(np.isnan(area), -1, np.searchsorted(SIZES, np.nan_to_num(area), side="right"))
 
 
 def _counts(classes: np.ndarray) -> np.ndarray:

@@ -31,7 +31,6 @@ from slefejax.experiments.shading import FOR_CERTIFIED, ShadingOptions, both_tol
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.experiments.studies.look import Look, Shown
 from slefejax.experiments.studies.measures import (
-    AREAS,
     Measure,
     areas,
     covering,
@@ -138,7 +137,7 @@ class ErrorTime:
             rows = shown(found)
             write_error_against_time(run.figure("error_against_time"), rows, self.tolerance)
             write_pixels_against_triangles(run.figure("pixels_against_triangles"), rows, self.tolerance)
-            write_triangle_sizes(run.figure("triangle_sizes"), rows, AREAS)
+            write_triangle_sizes(run.figure("triangle_sizes"), rows)
             first = {row["method_name"]: row for row in rows[: len(views[0].rules)]}
             panels = [(first[name], run.file(picture_name(name))) for name in self.pictures() if name in first]
             write_side_by_side(run.figure("side_by_side"), panels, self.tolerance)

@@ -55,6 +55,11 @@ class Shown:
         """Of the scene's patches, on the device of this thread."""
         return Renderer(self.patches, **self.shaded.drawn)
 
+    @cached_property
+    def wired(self) -> Renderer:
+        """The same, of pictures that know the areas of triangles; apart, so that run times are of plain ones."""
+        return Renderer(self.patches, wire=True)
+
     def heard(self, factors: Factors) -> None:
         """Take over from factors of which patches normals have no claim, if they say so."""
         if factors.without_normal is not None:
@@ -93,8 +98,8 @@ class Shown:
 
     def release(self) -> None:
         """Give the device's memory back."""
-        if "renderer" in self.__dict__:
-            self.renderer.release()
+        for name in {"renderer", "wired"} & self.__dict__.keys():
+            self.__dict__[name].release()
 
 
 @dataclass
@@ -119,6 +124,15 @@ class Look:
     def seen(self) -> GBuffer:
         """What the tessellator drew."""
         return self.renderer.draw(self.view, self.inner, self.outer)
+
+    @cached_property
+    def area(self) -> np.ndarray:
+        """On the screen, of the triangle that is seen, of every pixel; square pixels, NaN where nothing is."""
+        if self.seen.area is not None:
+            return self.seen.area
+        area = self.beside.wired.draw(self.view, self.inner, self.outer).area
+        assert area is not None
+        return area
 
     @cached_property
     def render_ms(self) -> float:

@@ -12,13 +12,15 @@ from slefejax import View
 from slefejax.errors import InputError
 from slefejax.experiments.store import Row
 from slefejax.experiments.studies.look import Look
+from slefejax.figures.style import SIZE_CLASSES
 from slefejax.gpu import GBuffer, Triangles
 from slefejax.measure.covering import covering_error
 from slefejax.measure.error import SLIPPED, slip
 from slefejax.tessellator.levels import triangle_counts
 
 THRESHOLDS = (0.1, 0.5, 1.0)  # pixels; the limits of the error colours of [YBP12]
-AREAS = (0.5, 5.0, 10.0, 20.0)  # square pixels; the classes of [YBP12], section 7
+SIZES = tuple(limit for limit, _, _ in SIZE_CLASSES[:-1])  # square pixels, between the classes of triangles
+AREAS = (0.5, *SIZES)  # with that of a micro-polygon
 _SHARES = tuple(f"share_above_{limit:g}" for limit in THRESHOLDS)
 _SLIPS = ("slipped_pixels", "max_slip_px")
 ERRORS = ("covered_pixels", *_SHARES, "max_error_px", *_SLIPS)
@@ -182,10 +184,15 @@ def covering(look: Look) -> Row:
     return covering_error(look.seen, look.beside.reference).summary()
 
 
-@measure(*(f"share_area_below_{limit:g}" for limit in AREAS))
+_PIXEL_AREAS = tuple(f"share_pixels_area_below_{limit:g}" for limit in SIZES)
+
+
+@measure(*(f"share_area_below_{limit:g}" for limit in AREAS), *_PIXEL_AREAS)
 def areas(look: Look) -> Row:
-    """``area_shares`` of the triangles that were made."""
-    return area_shares(look.captured, look.view)
+    """``area_shares`` of the triangles that were made, and of covered pixels by the triangle that they show."""
+    seen = look.area[~np.isnan(look.area)]
+    shares = [float(np.mean(seen < limit)) if len(seen) else 0.0 for limit in SIZES]
+    return {**area_shares(look.captured, look.view), **dict(zip(_PIXEL_AREAS, shares, strict=True))}
 
 
 def area_shares(triangles: Triangles, view: View) -> Row:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from slefejax.figures.page import Page
-from slefejax.figures.style import FACTOR_MAP, INK, ON_DARK, SMALL, WRONG, drawing
+from slefejax.figures.style import FACTOR_MAP, INK, ON_DARK, TITLE, WRONG, drawing
 
 _LIGHT = 0.6  # ratios from which letters on the colour are dark
 
@@ -29,7 +29,7 @@ def write_attack_figure(page: Page, rows: list[dict[str, Any]]) -> None:
             if row["violations"]:
                 values[i, j], colour = np.nan, WRONG
             text = f"{row['worst_ratio']:.3f}" if row["worst_ratio"] < 100 else "seen"
-            axes.text(j, i, text, ha="center", va="center", color=colour, size=SMALL)
+            axes.text(j, i, text, ha="center", va="center", color=colour, size=TITLE)
         shown = axes.imshow(values, cmap=FACTOR_MAP, vmin=0.0, vmax=1.0, aspect="auto")
         axes.set_xticks(range(len(settings)), settings, rotation=40, ha="right", rotation_mode="anchor")
         axes.set_yticks(range(len(families)), families)

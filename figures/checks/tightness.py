@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from slefejax.figures.fitting import plain
 from slefejax.figures.page import Page
 from slefejax.figures.style import METHOD_STYLES, beside, drawing, legend_below, level
 
@@ -70,4 +71,8 @@ def _off_scale(rows: Rows, kind: str) -> str:
     best: dict[str, float] = {}
     for row in (row for row in rows if row["curve"] == kind):
         best[row["method"]] = min(row["width_over_optimum_median"], best.get(row["method"], np.inf))
-    return "".join(f"\noff scale: {method}, from {ratio:.1e}" for method, ratio in best.items() if ratio > _HIGHEST)
+    return "".join(
+        f"\noff scale: {method}, from {plain(float(f'{ratio:.2g}'))}"
+        for method, ratio in best.items()
+        if ratio > _HIGHEST
+    )

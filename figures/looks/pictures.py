@@ -18,10 +18,11 @@ from slefejax.figures.style import (
     FACTOR_MAP,
     LINES,
     MARKED,
-    SIZE_COLOURS,
+    SIZE_CLASSES,
     UNTEXTURED,
     error_legend,
     legend_below,
+    size_legend,
 )
 
 _ONE_LINE = 0.4  # inches below: a legend of a line
@@ -113,22 +114,20 @@ def write_checker(page: Page, heading: Heading, squares: np.ndarray, label: str)
 def write_sizes(page: Page, heading: Heading, classes: np.ndarray, rows: list[dict]) -> None:
     """Triangles by the class of their area, and what share of pixels and of triangles each class has.
 
-    classes : number of the row of every pixel, -1 for background
-    rows    : with class, share_of_pixels, share_of_triangles
+    classes : number of the class of every pixel, -1 for background
+    rows    : a class each, with share_of_pixels, share_of_triangles
     """
     with panels(page, heading, classes >= 0, below=LEGEND, beside=_BARS) as own:
-        own.show(0, _in_colours(classes, SIZE_COLOURS))
+        own.show(0, _in_colours(classes, tuple(colour for _, colour, _ in SIZE_CLASSES)))
         _shares(own.beside, rows)
-        names = [row["class"] for row in rows]
-        handles = [Patch(facecolor=c, edgecolor=LINES, label=n) for c, n in zip(SIZE_COLOURS, names, strict=True)]
-        legend_below(own.figure, handles, "area of a triangle on the screen")
+        size_legend(own.figure)
 
 
 def _shares(axes: Any, rows: list[dict]) -> None:
     """Two bars, with the largest class on top."""
     for place, name in enumerate(("share_of_pixels", "share_of_triangles")):
         ends = 100.0 * np.cumsum([0.0, *(row[name] for row in rows)])
-        for colour, low, high in zip(SIZE_COLOURS, ends, ends[1:], strict=False):
+        for (_, colour, _), low, high in zip(SIZE_CLASSES, ends, ends[1:], strict=False):
             axes.bar(place, high - low, 0.8, bottom=low, color=colour, edgecolor=LINES, linewidth=0.5)
     axes.set_xticks([0, 1], ["of the\npixels", "of the\ntriangles"], rotation=90)
     axes.set_ylim(0, 100)

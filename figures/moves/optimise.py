@@ -40,7 +40,8 @@ def _plot_model(part: Any, seen: Any, counts: tuple[np.ndarray, np.ndarray], sha
     share = 100.0 * (after - before) / np.maximum(before, 1.0)
     polygons, corners = seen
     values = share[[own[0] // (shape[1] * shape[2]) for own in corners]]
-    limit = max(0.1, float(np.abs(share).max()))
+    low, high = min(-0.1, float(values.min(initial=0.0))), max(0.1, float(values.max(initial=0.0)))
+    limit = max(-low, high)
     norm = TwoSlopeNorm(0.0, -limit, limit)
     faces = PolyCollection(polygons, cmap=DIVERGING_MAP, norm=norm, edgecolors=LINES, linewidths=0.25)
     faces.set_array(values)
@@ -51,7 +52,8 @@ def _plot_model(part: Any, seen: Any, counts: tuple[np.ndarray, np.ndarray], sha
     axes.set_xlabel("x (pixels)")
     axes.set_ylabel("y (pixels)")
     axes.set_title("moved control nets")
-    part.colorbar(faces, ax=axes, shrink=0.8, label="change of triangles in views held out (%)")
+    bar = part.colorbar(faces, ax=axes, shrink=0.8, label="change of triangles in views held out (%)")
+    bar.ax.set_ylim(low, high)  # the colours are as strong on both sides of 0; the bar has those that are there
 
 
 def _plot_patches(part: Any, counts: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:

@@ -10,7 +10,7 @@ from matplotlib.colors import LogNorm
 
 from slefejax.figures.fitting import log_ticks
 from slefejax.figures.page import Page
-from slefejax.figures.style import COLOURS, FACTOR_MAP, HATCHES, INK, LINES, drawing, legend_below
+from slefejax.figures.style import COLOURS, FACTOR_MAP, HATCHES, INK, LINES, bar_numbers, drawing, legend_below
 
 _DECADES = 2.0  # that are told apart below the largest value
 _BARS = 8  # of a kind
@@ -46,7 +46,7 @@ def _plot_mesh(part: Any, polygons: list[np.ndarray], values: np.ndarray, what: 
     axes.set_xlabel("x (pixels)")
     axes.set_ylabel("y (pixels)")
     axes.grid(visible=False)
-    bar = part.colorbar(faces, ax=axes, shrink=0.8, label="triangles (mean of a face's corners; darkest: that or less)")
+    bar = part.colorbar(faces, ax=axes, shrink=0.8, extend="min", label="triangles, mean of a face's corners")
     log_ticks(bar.ax.yaxis, largest * 10.0**-_DECADES, largest)
 
 
@@ -57,7 +57,9 @@ def _plot_bars(part: Any, bars: list[dict[str, Any]], kinds: list[tuple[str, str
         own = [row for row in bars if (row["kind"], row["change"]) == (kind, change)][:_BARS]
         places = at + np.arange(len(own))
         look = {"color": COLOURS[number % len(COLOURS)], "hatch": HATCHES[number % len(HATCHES)], "edgecolor": LINES}
-        axes.barh(places, [row["triangles_more"] for row in own], label=f"{kind}: {change}", lw=0.5, **look)
+        more = [row["triangles_more"] for row in own]
+        bars_of_kind = axes.barh(places, more, label=f"{kind}: {change}", lw=0.5, **look)
+        bar_numbers(axes, bars_of_kind, [f"{value:,.3g}" for value in more])
         ticks += places.tolist()
         names += [row["name"] if len(row["name"]) <= _LONGEST else f"{row['name'][:_LONGEST]}…" for row in own]
         at += len(own) + 1.5

@@ -4,14 +4,24 @@ from __future__ import annotations
 
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 
 from slefejax.figures.page import Page
-from slefejax.figures.style import BACKGROUND, INK, ORDERED_MAP, beside, drawing, legend_below, level, method_style
+from slefejax.figures.style import (
+    INK,
+    LINES,
+    SIZE_CLASSES,
+    beside,
+    drawing,
+    legend_below,
+    level,
+    method_style,
+    size_legend,
+)
 
 Rows = list[dict[str, Any]]
+_AREAS = {"the triangles": "share_area_below", "the covered pixels": "share_pixels_area_below"}
 
 
 def _medians(rows: Rows, name: str, *keys: str) -> list[float]:
@@ -77,24 +87,22 @@ def write_pixels_against_triangles(page: Page, rows: Rows, tolerance: float) -> 
         legend_below(figure)
 
 
-def write_triangle_sizes(page: Page, rows: Rows, areas: tuple[float, ...]) -> None:
-    """Shares of triangles by their area on the screen, a bar a rule; medians over the views."""
+def write_triangle_sizes(page: Page, rows: Rows) -> None:
+    """Shares of triangles and of the screen by the area of triangles, a bar a rule; medians over the views."""
     names = _names(rows)
-    with drawing(
-        page, 11, 0.45 * len(names) + 1.8, f"{_scenes(rows)}: how large triangles are on the screen"
-    ) as figure:
-        axes = figure.subplots()
-        edges = np.array([[0.0, *_medians(rows, n, *(f"share_area_below_{a:g}" for a in areas)), 1.0] for n in names])
-        labels = [f"< {areas[0]:g} px²", *(f"< {a:g} px²" for a in areas[1:]), "larger"]
-        colours = mpl.colormaps[ORDERED_MAP](np.linspace(0.0, 1.0, len(labels)))
-        for k, (label, colour) in enumerate(zip(labels, colours, strict=True)):
-            look = {"color": colour, "label": label, "edgecolor": BACKGROUND}
-            axes.barh(names, 100 * (edges[:, k + 1] - edges[:, k]), left=100 * edges[:, k], **look)
-        axes.invert_yaxis()
-        axes.set_xlim(0, 100)
-        axes.set_xlabel("share of the triangles (%)")
-        axes.grid(visible=False)
-        legend_below(figure)
+    title = f"{_scenes(rows)}: how large triangles are on the screen"
+    with drawing(page, 13, 0.42 * len(names) + 2.2, title, grid=False) as figure:
+        panels = figure.subplots(1, 2, sharey=True)
+        for axes, (of, column) in zip(panels, _AREAS.items(), strict=True):
+            limits = [f"{column}_{limit:g}" for limit, _, _ in SIZE_CLASSES[:-1]]
+            ends = 100 * np.array([[0.0, *_medians(rows, name, *limits), 1.0] for name in names])
+            for k, (_, colour, _) in enumerate(SIZE_CLASSES):
+                look = {"color": colour, "edgecolor": LINES, "linewidth": 0.5}
+                axes.barh(names, ends[:, k + 1] - ends[:, k], left=ends[:, k], **look)
+            axes.set_xlim(0, 100)
+            axes.set_xlabel(f"share of {of} (%)")
+        panels[0].invert_yaxis()
+        size_legend(figure)
 
 
 def _scenes(rows: Rows) -> str:
