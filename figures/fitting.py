@@ -94,6 +94,11 @@ def plain(value: float) -> str:
     return f"$10^{{{power}}}$" if abs(front - 1) < 1e-6 else f"${front:.3g}\\cdot10^{{{power}}}$"
 
 
+def short(value: float) -> str:
+    """A number of two digits for a title, written as ``plain`` does."""
+    return plain(float(f"{value:.2g}")) if np.isfinite(value) else str(value)
+
+
 def _log_places(low: float, high: float) -> list[float]:
     decades = np.log10(high / low)
     digits = next((digits for least, digits in _STEPS if decades >= least), None)

@@ -75,7 +75,7 @@ SMALL, TITLE, LARGE = 11, 14, 22
 _BETWEEN = 1.3  # baselines, in sizes of the font
 _LEAST_MARK = 7.0  # points, in legends
 _MARGIN = 12  # pixels around what is shown of a picture
-_PLATE = {"facecolor": BACKGROUND, "edgecolor": "none", "alpha": 0.75, "pad": 1.0}  # behind letters on a picture
+_PLATE = {"facecolor": BACKGROUND, "edgecolor": "none", "alpha": 0.88, "pad": 1.0}  # behind letters on a picture
 
 SETTINGS: dict[Any, Any] = {
     "font.size": 12,

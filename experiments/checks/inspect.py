@@ -32,6 +32,7 @@ from slefejax.experiments.store import Row, Run, digest
 from slefejax.experiments.studies.measures import slips
 from slefejax.figures.checks.inspect import Panels, write_inspect_figure
 from slefejax.figures.checks.limit import Pictures, write_normal_figure
+from slefejax.figures.fitting import short
 from slefejax.gpu import Renderer, open_device
 from slefejax.io.content import Y_UP, Z_UP, Content
 from slefejax.loading import BUILT_IN, read
@@ -249,7 +250,7 @@ def _reflections(scene: Scene, view: View, tolerance: float, run: Run) -> tuple[
     if found is None:
         return ("no reflections: nothing of the scene is on the screen",)
     kinds = ("the surface, $P_u \\times P_v$", "tangent patches, $T_u \\times T_v$")
-    said = [f"normals of {kind}\njump by up to {jump:.2g}°" for kind, jump in zip(kinds, found.jumps, strict=True)]
+    said = [f"normals of {kind}\njump by up to {short(jump)}°" for kind, jump in zip(kinds, found.jumps, strict=True)]
     whole = Pictures(found.whole, said, scene.name)
     write_normal_figure(run.figure("reflections"), whole, found.near, found.frame)
     return ()

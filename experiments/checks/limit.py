@@ -17,6 +17,7 @@ from slefejax.experiments.options import FigureOptions, LoadOptions, Scenes, Vie
 from slefejax.experiments.report import Report, progress
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.figures.checks.limit import Pictures, write_limit_figure, write_reflection_figure
+from slefejax.figures.fitting import short
 from slefejax.measure.jumps import normal_jumps
 
 _DEPTHS = (1, 2, 3)
@@ -113,7 +114,7 @@ class Limit:
         """Of the first scene: where the distances are, and what smoothness looks like."""
         chosen = cases[:_SHOWN]
         scenes = [self._scene(case) for case in chosen]
-        titles = [case.scheme + f", {case.depth} steps" * (case.depth > 0) for case in chosen]
+        titles = [case.scheme + _after(case.depth) for case in chosen]
         found = [limit_distance(scene, view) for scene in scenes]
         diagonal = _diagonal(scenes[0])
         pictures = [_distances(scene, own, view, 100.0 / diagonal) for scene, own in zip(scenes, found, strict=True)]
@@ -125,9 +126,14 @@ class Limit:
         stripes = [*reflections(scenes)]
         if stripes:
             jumps = [largest_jump(scene) for scene in scenes]
-            said = [f"{title}\nnormals jump by up to {jump:.2g}°" for title, jump in zip(titles, jumps, strict=True)]
+            said = [f"{title}\nnormals jump by up to {short(jump)}°" for title, jump in zip(titles, jumps, strict=True)]
             shown = Pictures(stripes, [*said, "limit surface"], scenes[0].name)
             write_reflection_figure(run.figure("reflections"), shown)
+
+
+def _after(depth: int) -> str:
+    """Steps of subdivision, for a title."""
+    return f", {depth} step{'s' * (depth > 1)}" if depth else ""
 
 
 def _check(scene: Scene) -> None:

@@ -83,7 +83,7 @@ class _Case(NamedTuple):
     level: int
 
     def name(self) -> str:
-        return f"{self.orientation}_{self.condition!r}_{self.method}_{self.level}"
+        return f"{self.orientation}_{self.condition:.9g}_{self.method}_{self.level}"
 
 
 @dataclass(frozen=True)
@@ -284,7 +284,7 @@ class _Bench:
             errors = pixels(look)
             found |= {name: errors[name] for name in ("max_error_px", "share_above_0.5")}
         title = f"{self.scene.name}: Gaussian products, {case.method}, covariances {case.orientation}"
-        title += f" with condition {case.condition:.3g}, at most level {case.level}" if case.level else ""
+        title += f" with condition {case.condition:.3g}" + f", at most level {case.level}" * (case.level > 0)
         write_error_image(run.file(f"error_{case.name()}.png"), look.error, title)
         return found
 

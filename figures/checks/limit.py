@@ -51,7 +51,8 @@ def write_limit_figure(page: Page, pictures: Pictures) -> None:
             own.imshow(np.where(picture[crop] == 0.0, 1.0, np.nan), cmap=exact)
         bar = figure.colorbar(shown, ax=axes, shrink=0.8, extend="min", label="distance (% of the diagonal)")
         log_ticks(bar.ax.yaxis, lowest, highest)
-        legend_below(figure, [Patch(facecolor=PLAIN, edgecolor=LINES, label="the limit surface itself")])
+        if any(np.any(picture[crop] == 0.0) for picture in pictures.values):
+            legend_below(figure, [Patch(facecolor=PLAIN, edgecolor=LINES, label="the limit surface itself")])
 
 
 def write_reflection_figure(page: Page, pictures: Pictures) -> None:

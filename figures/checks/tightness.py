@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from slefejax.figures.fitting import plain
+from slefejax.figures.fitting import short
 from slefejax.figures.page import Page
 from slefejax.figures.style import METHOD_STYLES, beside, drawing, legend_below, level
 
@@ -71,8 +71,4 @@ def _off_scale(rows: Rows, kind: str) -> str:
     best: dict[str, float] = {}
     for row in (row for row in rows if row["curve"] == kind):
         best[row["method"]] = min(row["width_over_optimum_median"], best.get(row["method"], np.inf))
-    return "".join(
-        f"\noff scale: {method}, from {plain(float(f'{ratio:.2g}'))}"
-        for method, ratio in best.items()
-        if ratio > _HIGHEST
-    )
+    return "".join(f"\noff scale: {method}, from {short(ratio)}" for method, ratio in best.items() if ratio > _HIGHEST)

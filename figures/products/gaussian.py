@@ -30,6 +30,7 @@ from slefejax.figures.style import (
 )
 
 Row = dict[str, Any]
+_MESH = 1.0  # points
 _STYLES: dict[str, dict[str, Any]] = {
     "published": {"color": COLOURS[1], "marker": "o", "label": "published, fixed level (its number beside)"},
     "certified": {**METHOD_STYLES["certified"], "label": "certified", "markersize": 13},
@@ -138,8 +139,8 @@ def write_surface(page: Page, picture: np.ndarray, gaussians: tuple[np.ndarray, 
             axes.imshow(np.where(seen, picture, 1.0), cmap=GREY_MAP, vmin=0.0, vmax=1.0)
         height = picture.shape[0]
         upside = lambda x: np.stack([x[..., 0], height - x[..., 1]], axis=-1)  # noqa: E731
-        right.add_collection(LineCollection(list(upside(edges)), colors=COLOURS[0], linewidths=0.6))
-        ellipses: Any = {"facecolor": to_rgba(COLOURS[4], 0.5), "edgecolor": MARKED, "linewidth": 0.6}
+        right.add_collection(LineCollection(list(upside(edges)), colors=COLOURS[0], linewidths=_MESH))
+        ellipses: Any = {"facecolor": to_rgba(COLOURS[4], 0.5), "edgecolor": MARKED, "linewidth": _MESH}
         right.add_collection(PolyCollection(list(upside(outlines)), **ellipses))
         # a coarse control mesh reaches far beyond its surface
         shown = np.concatenate([upside(x).reshape(-1, 2) for x in gaussians])
@@ -149,5 +150,5 @@ def write_surface(page: Page, picture: np.ndarray, gaussians: tuple[np.ndarray, 
         bare(right, "its control mesh, and the Gaussians of its vertices (all scaled alike)")
         left.set(xlim=(columns.start, columns.stop), ylim=(rows.stop, rows.start))
         right.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]))
-        mesh = Line2D([], [], color=COLOURS[0], lw=0.6, label="control mesh")
+        mesh = Line2D([], [], color=COLOURS[0], lw=_MESH, label="control mesh")
         legend_below(figure, [mesh, Patch(**ellipses, label="Gaussian of a vertex")])
