@@ -17,8 +17,10 @@ from matplotlib.transforms import Bbox
 _DIRECTIONS = ((1, 1), (1, -1), (-1, 1), (-1, -1), (0, 1), (0, -1), (1, 0), (-1, 0))
 _DISTANCES = (6.0, 14.0, 26.0, 42.0, 64.0, 90.0)  # points between a mark and its label
 _FIRST_FAR = 14.0  # from which a line leads to the mark
-# blanks that lines are not broken at: of a size such as 480 x 360, and before a unit
-_UNBROKEN = re.compile(r"(?<=\d) (?=x \d)|(?<=\d x) (?=\d)|(?<=\d) (?=(?:px²?|pixels?|ms|%|degrees?)(?!\w))")
+# blanks that lines are not broken at: of a size such as 480 x 360, of an error such as 3 ± 1, and before a unit
+_UNBROKEN = re.compile(
+    r"(?<=\d) (?=[x±] \d)|(?<=\d x) (?=\d)|(?<=±) |(?<=\d) (?=(?:px²?|pixels?|[µm]s|%|degrees?)(?!\w))"
+)
 _KEPT = "\u00a0"
 _SAMPLES = 64  # of a piece of a line
 _LEAST_ROOM = 60.0  # points of a line

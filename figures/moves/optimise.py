@@ -11,6 +11,7 @@ from matplotlib.colors import TwoSlopeNorm
 from slefejax.figures.page import Page
 from slefejax.figures.style import COLOURS, DIVERGING_MAP, INK, LINES, drawing, legend_below
 
+_UNCHANGED = 0.1  # per cent, that a bar reaches where nothing changes
 _STYLES = {"optimised for": (COLOURS[0], "o"), "held out": (COLOURS[1], "^")}
 
 
@@ -40,7 +41,9 @@ def _plot_model(part: Any, seen: Any, counts: tuple[np.ndarray, np.ndarray], sha
     share = 100.0 * (after - before) / np.maximum(before, 1.0)
     polygons, corners = seen
     values = share[[own[0] // (shape[1] * shape[2]) for own in corners]]
-    low, high = min(-0.1, float(values.min(initial=0.0))), max(0.1, float(values.max(initial=0.0)))
+    low, high = float(values.min(initial=0.0)), float(values.max(initial=0.0))
+    if low == high:
+        low, high = -_UNCHANGED, _UNCHANGED
     limit = max(-low, high)
     norm = TwoSlopeNorm(0.0, -limit, limit)
     faces = PolyCollection(polygons, cmap=DIVERGING_MAP, norm=norm, edgecolors=LINES, linewidths=0.25)
@@ -62,7 +65,7 @@ def _plot_patches(part: Any, counts: dict[str, tuple[np.ndarray, np.ndarray]]) -
         colour, mark = _STYLES[name]
         drawn = before > 0
         fewer = 100.0 * (1.0 - after.sum() / max(before.sum(), 1.0))
-        label = f"views {name}: {fewer:.1f} % fewer in all"
+        label = f"views {name}: {abs(fewer):.1f} % {'fewer' if fewer >= 0 else 'more'} in all"
         change = 100.0 * (after[drawn] / before[drawn] - 1.0)
         axes.plot(before[drawn], change, mark, color=colour, ms=6, alpha=0.8, label=label)
     axes.axhline(0.0, color=INK, lw=0.8)
