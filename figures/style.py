@@ -238,6 +238,6 @@ def level(axes: Any, value: float, text: str) -> None:
 
 
 def bar_numbers(axes: Any, bars: Any, texts: Sequence[str]) -> None:
-    """A number at the end of each bar, with room for it."""
-    axes.bar_label(bars, texts, padding=2, size=SMALL)
+    """A number at the end of each bar, with room for it; lines behind it are covered."""
+    axes.bar_label(bars, texts, padding=2, size=SMALL, bbox=_PLATE)
     axes.margins(y=0.2) if bars.orientation == "vertical" else axes.margins(x=0.2)
