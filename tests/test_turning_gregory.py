@@ -14,8 +14,12 @@ from slefejax.geometry.bezier import elevate, evaluate_patch
 from slefejax.geometry.evaluate import as_control
 from slefejax.geometry.gregory import QUAD_TWISTS, twist_slopes
 from slefejax.geometry.normals import collapsed_sides
+from slefejax.geometry.packed import pack
 from slefejax.lanes.maxima import EXACT
 from slefejax.predict.cells import Pictures, Turned, cell_errors, triangle_errors
+from slefejax.predict.factors import shaded
+from slefejax.predict.kernel import Prepared
+from slefejax.predict.methods import Request
 from slefejax.predict.normals.slopes import COARSEST, on_box, on_tiles, slope_sizes
 from slefejax.predict.normals.spinning import Spinning, tile_tables
 from slefejax.predict.normals.undivided import Surfaces
@@ -270,6 +274,15 @@ def test_grids_keep_the_angle(rng, kind):
         assert max(on_cell(patches, k, *cell, places=7) for cell in cells) <= 4.0
 
 
+def test_single_precision_has_a_program(rng):
+    packed = pack(patches_of(rng, "quads", 4).astype(np.float32))
+    request = Request.of({"normal_tolerance": 4.0})
+    shading = shaded(request, Prepared(packed)).shading
+    assert shading is not None
+    assert shading.program().out_avals[0].shape[0] >= 1
+
+
+@pytest.mark.slow
 def test_single_precision_tells_nearly_the_same(rng):
     """Rounding counts, and is a thousandth of these angles."""
     patches = patches_of(rng, "quads", 4)
