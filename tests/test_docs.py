@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slefejax import Study
 from slefejax.experiments.commands import COMMANDS as COMMAND_NAMES
 from slefejax.experiments.parsing import parsed
 from tests.meshes import cube
@@ -23,7 +24,7 @@ from tests.test_imports import modules
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-LANGUAGES = {"", "python", "json"}
+LANGUAGES = {"", "python", "json", "toml"}
 WITH_EXAMPLES = sorted(name for name, path in modules().items() if ">>>" in path.read_text())
 
 
@@ -123,6 +124,12 @@ def test_blocks_are_found():
         assert json.loads(text), place
 
 
+def test_studies_of_the_docs_have_cases(tmp_path):
+    for _, text in blocks("toml"):
+        (tmp_path / "study.toml").write_text(text)
+        assert len(list(Study.load(tmp_path / "study.toml").cases())) > 1
+
+
 @pytest.mark.parametrize("place", sorted({page for page, _ in mentioned()}))
 def test_commands_of_the_text_can_be_typed(place):
     """Not run, but understood: no option is misspelt or gone."""
@@ -157,6 +164,7 @@ def test_commands_of_the_docs(device, tmp_path, place, words):
     _, content = figure(np.random.default_rng(1))
     content["animations"][0]["name"] = "Walk"
     save(tmp_path, content, "fox.glb")
+    (tmp_path / "study.toml").write_text(blocks("toml")[0][1])
     command = [sys.executable, "-m", "slefejax", *words]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-3000:]

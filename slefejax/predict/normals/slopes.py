@@ -70,7 +70,7 @@ def on_tiles(slots: int, tiles: int, even: bool) -> TileSlopes:
     A cell reaches out of the tile of a place by no more than its side. Second order where the slot's corner is beyond
     that, and where it tells more.
 
-    >>> on_tiles(4, 2, True).first[:, 2, 0].tolist()
+    >>> on_tiles(4, 2, True).first[:, 3, 0].tolist()
     [[3.54, 3.54], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]]
     """
     per = -(-_BOXES // tiles)
