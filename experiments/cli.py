@@ -31,12 +31,15 @@ def _run(arguments: list[str] | None) -> int:
     from slefejax.errors import InputError, NoOpenGLError, OpenGLError
     from slefejax.experiments.options import option_names
     from slefejax.experiments.parsing import NO_CACHE, parsed
+    from slefejax.experiments.report import working
 
     command: Any = None
+    words = [argument for argument in given if argument != NO_CACHE]
     try:
-        command = parsed([argument for argument in given if argument != NO_CACHE])
-        start_jax(keep=NO_CACHE not in given)
-        report: Any = command.run()
+        command = parsed(words)
+        with working(words[0]):
+            start_jax(keep=NO_CACHE not in given)
+            report: Any = command.run()
     except InputError as error:
         return _fail(error.typed(() if command is None else option_names(command)))
     except NoOpenGLError as error:

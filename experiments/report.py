@@ -2,93 +2,25 @@
 
 from __future__ import annotations
 
-import io
 import json
+import re
+import shutil
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import textwrap
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-from rich import box
 from rich.console import Console
-from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from slefejax.experiments.store import open_first
-from slefejax.experiments.tables import strict
-
-MOST_ROWS = 60
-_LONG = 40  # of a text that may be wrapped
-HEADINGS = {
-    "share_above_0.1": "> 0.1 px",
-    "share_above_0.5": "> 0.5 px",
-    "share_above_1": "> 1 px",
-    "covered_pixels": "pixels",
-    "max_error_px": "largest px",
-    "max_normal_error_deg": "normals °",
-    "patches_without_normal": "no normal",
-    "slipped_pixels": "slipped",
-    "max_slip_px": "slip px",
-    "slefe_triangles": "slefe: triangles",
-    "slefe_share_above_0.5": "> 0.5 px",
-    "slefe_max_error_px": "largest px",
-    "predict_ms": "predict ms",
-    "render_ms": "render ms",
-    "width_over_optimum_median": "width/optimum",
-    "width_over_optimum_p95": "95 %",
-    "width_over_optimum_max": "largest",
-    "sup_error_px": "sup px",
-    "drawn_sup_error_px": "drawn sup px",
-    "sup_normal_error_deg": "sup °",
-    "drawn_sup_normal_error_deg": "drawn °",
-    "slack_deg": "slack °",
-    "analytic_cubic": "analytic",
-    "held_out_share_unsafe": "unsafe, held out",
-    "quantile_low": "low",
-    "quantile_high": "high",
-    "largest_unsafe_share": "unsafe: largest",
-    "quantile_unsafe_share": "quantile",
-    "quantile_triangles": "its triangles",
-    "factor_over_minimal_p95": "95 %",
-    "triangles_over_minimal": "/ minimal",
-    "twist_coefficient": "twist",
-    "below_analytic_share": "below",
-    "factor_over_minimal_median": "over minimal",
-    "share_wrong_silhouette": "wrong edge",
-    "share_wrong_patch_inside": "wrong inside",
-    "us_per_curve": "µs a curve",
-    "single_error": "single: error",
-    "double_error": "double: error",
-    "single_broken": "single: broken",
-    "double_broken": "double: broken",
-    "single_refused": "refused",
-    "nonfinite": "not finite",
-    "single_unsafe_from": "single unsafe from",
-    "single_estimate_off_from": "1 % off from",
-    "single_certified_loose_from": "certified loose from",
-    "skinning_ms": "skin + convert",
-    "boxes_ms": "slefe boxes",
-    "view_ms": "view",
-    "levels_ms": "edges",
-    "hand_over_ms": "hand over",
-    "pop_max_px": "pop px",
-    "pop_p99_px": "pop 99 %",
-    "changed_share": "changed",
-    "sum_of_factors": "factors",
-    "frames_per_second": "frames/s",
-    "limit_max_percent": "limit: largest %",
-    "limit_rms_percent": "limit: rms %",
-    "limit_bound_percent": "limit: bound %",
-    "limit_max_px": "limit: px",
-    "normal_jump_deg": "normals jump",
-    "without_ms": "without, ms",
-    "with_ms": "with, ms",
-}
-Row = dict[str, Any]
+from slefejax.experiments.store import TABLE, open_first
+from slefejax.experiments.tables import Row, header, strict
+from slefejax.experiments.terminal import MOST_ROWS, cut, fitted, heading
 
 
 @dataclass(frozen=True)
@@ -121,88 +53,170 @@ class Report:
         return json.dumps(strict(content), allow_nan=False) + "\n"
 
     def _text(self) -> str:
-        rows = [{name: row[name] for name in self.shown or row} for row in self.rows]
-        lines = [*(f"Note: {note}" for note in self.notes), self.title, _table(rows)]
+        notes = [_wrapped(f"Note: {note}") for note in self.notes]
+        lines = [*notes, *self._table(self.title, self.rows, self.shown)]
         if len(self.rows) > MOST_ROWS:
-            lines.append(f"… and {len(self.rows) - MOST_ROWS:,} more rows in the table file")
+            where = "with --json" if self.out is None else f"in {TABLE}"
+            lines.append(f"… and {len(self.rows) - MOST_ROWS:,} more rows {where}")
         for title, rows in self.more:
-            lines += [f"\n{title}", _table(rows)] if rows else []
+            apart = [] if not lines or lines[-1].endswith("\n") else [""]
+            lines += [*apart, *self._table(title, rows)] if rows else []
         if self.out is not None:
             lines.append(f"Results are in {self.out}: open {open_first(self.out).name} first")
-        return "".join(f"{line}\n" for line in lines if line)
+        return "".join(f"{line}\n" for line in lines)
+
+    def _table(self, title: str, rows: Sequence[Row], shown: Sequence[str] = ()) -> Iterator[str]:
+        """The title, with settings that are the same in every row; the table; which columns are somewhere else."""
+        if not rows:
+            yield from [_wrapped(title)] * bool(title)
+            return
+        table = fitted([{name: row[name] for name in shown or row} for row in rows], columns())
+        settings = [f"{name} {value}" for name, value in table.everywhere.items() if not _named(title, name, value)]
+        title = "; ".join(own for own in (title, ", ".join(settings)) if own)
+        yield from [_wrapped(title)] * bool(title)
+        yield f"\n{table.text}\n"
+        left_out = (*table.left_out, *(name for name in rows[0] if shown and name not in shown))
+        if left_out:
+            yield self._elsewhere(left_out)
+
+    def _elsewhere(self, names: Sequence[str]) -> str:
+        """What there was no room for, in one line."""
+        kept = [] if self.out is None else header(self.out / TABLE)
+        where = f"Only in {TABLE}" if set(names) <= set(kept) else "No room for"
+        line = ""
+        for count in range(len(names), 0, -1):
+            more = f" and {len(names) - count} more" * (count < len(names))
+            line = f"{where}: {', '.join(map(heading, names[:count]))}{more}"
+            if len(line) <= columns():
+                break
+        return line
 
 
-def _table(rows: list[Row]) -> str:
-    """The first rows; what is the same in all of them stands once, below. A single row is shown as a column."""
-    if not rows:
-        return ""
-    table = Table(box=box.SIMPLE_HEAD, show_header=len(rows) > 1)
-    constant = {name: value for name, value in rows[0].items() if all(_same(row[name], value) for row in rows)}
-    if len(rows) == 1:
-        table.add_column()
-        table.add_column()
-        for name, value in rows[0].items():
-            table.add_row(_heading(name), _shown(name, value))
-        return _rendered(table)
-    columns = [name for name in rows[0] if name not in constant]
-    for name in columns:
-        words = [row[name] for row in rows if isinstance(row[name], str)]
-        long = any(len(word) > _LONG for word in words)
-        table.add_column(_heading(name), justify="left" if words else "right", no_wrap=not long)
-    for row in rows[:MOST_ROWS]:
-        table.add_row(*[_shown(name, row[name]) for name in columns])
-    shared = ", ".join(f"{_heading(name)} {_shown(name, value)}" for name, value in constant.items() if _says(value))
-    return _rendered(table) + (f"\nin every row: {shared}" if shared else "")
+def columns() -> int:
+    """How many the terminal has that the table is shown in, or COLUMNS says; 80 where there is none."""
+    return shutil.get_terminal_size((80, 24)).columns
 
 
-def _same(one: Any, other: Any) -> bool:
-    return one == other or not (_says(one) or _says(other))
+def _wrapped(sentence: str) -> str:
+    """Between words, in a terminal; whoever reads a pipe looks for sentences in one line."""
+    if not sys.stdout.isatty():
+        return sentence
+    return textwrap.fill(sentence, columns(), break_long_words=False, break_on_hyphens=False)
 
 
-def _says(value: Any) -> bool:
-    """Whether there is anything to show: no text, and a number that is none, say nothing."""
-    return value != "" and not (isinstance(value, float) and np.isnan(value))
+def _named(title: str, name: str, value: str) -> bool:
+    """Whether a title says already that something has that value: a number beside its name, or a name by itself."""
+    if re.search(r"\d", value[:1]):
+        return f"{name} {value}" in title or f"{value} {name}" in title
+    return value in title
 
 
-def _rendered(table: Table) -> str:
-    """As text; wide enough for numbers, never wider than a long line of words."""
-    page = io.StringIO()
-    Console(file=page, width=180, highlight=False).print(table)
-    return "\n".join(line.rstrip() for line in page.getvalue().strip("\n").splitlines())
-
-
-def _heading(name: str) -> str:
-    return HEADINGS.get(name, name.replace("_", " "))
-
-
-def _shown(name: str, value: Any) -> str:
-    if isinstance(value, float) and np.isnan(value):
-        return "-"
-    if "share" in name:
-        return f"{100 * value:.2f} %"
-    if name.endswith(("_percent", "_deg")) and isinstance(value, float):
-        return f"{value:.3g}"
-    if name.endswith("_error") and isinstance(value, float):
-        return f"{value:.1e}" if value else "0"
-    if isinstance(value, float):
-        return f"{value:.9g}" if name == "scale" else f"{value:.4g}" if "us" in name.split("_") else f"{value:.3f}"
-    if isinstance(value, int) and not isinstance(value, bool):
-        return f"{value:,}"
-    return escape(str(value))
+Show = Callable[..., None]
+Task = Callable[[str, int], AbstractContextManager[Show]]
+_TASK: ContextVar[Task | None] = ContextVar("task", default=None)
 
 
 @contextmanager
-def progress(what: str, total: int) -> Iterator[Callable[..., None]]:
-    """A progress bar on standard error, if that is a terminal.
+def working(command: str) -> Iterator[None]:
+    """Within, a terminal shows what is under way from the first moment on, while programs compile, too."""
+    with _displayed(f"{command}: preparing", f"{command}: writing results") as task:
+        outer = _TASK.set(task)
+        try:
+            yield
+        finally:
+            _TASK.reset(outer)
+
+
+@contextmanager
+def progress(what: str, total: int) -> Iterator[Show]:
+    """A bar on standard error; where that is no terminal, a line every few seconds.
 
     The function that is given hears how much is done, or, as ``detail``, what is being done.
     """
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    hidden = not sys.stderr.isatty()
-    with Progress(*columns, console=Console(stderr=True), transient=True, disable=hidden) as bar:
-        task = bar.add_task(what, total=total)
-
-        def show(done: int | None = None, detail: str = "") -> None:
-            bar.update(task, completed=done, description=f"{what} {detail}".strip())
-
+    task = _TASK.get()
+    with nullcontext(task) if task else _displayed() as own, own(what, total) as show:
         yield show
+
+
+def _displayed(before: str = "", after: str = "") -> AbstractContextManager[Task]:
+    """What shows tasks. Before the first of them, and after each, a terminal shows other words, if they are given."""
+    return _bars(before, after) if sys.stderr.isatty() else nullcontext(_lines)
+
+
+_WORDS = 36  # cells beside a bar: the line has room in a terminal of 80 columns
+
+
+@contextmanager
+def _bars(before: str, after: str) -> Iterator[Task]:
+    """In a terminal: one line, which is gone when everything is done."""
+    parts = (TextColumn("{task.description}"), BarColumn(20), TextColumn("{task.fields[count]}"), TimeElapsedColumn())
+    with Progress(*parts, console=Console(stderr=True), transient=True, refresh_per_second=4) as bars:
+        outer = bars.add_task(before, total=None, count="", visible=bool(before))
+
+        @contextmanager
+        def task(what: str, total: int) -> Iterator[Show]:
+            bars.update(outer, visible=False, description=after)
+            own = bars.add_task(what, total=total, count=f"0 of {total}")
+
+            def show(done: int | None = None, detail: str = "") -> None:
+                count = {} if done is None else {"completed": done, "count": f"{done} of {total}"}
+                bars.update(own, description=cut(f"{what} {detail}".strip(), _WORDS), **count)
+
+            try:
+                yield show
+            finally:
+                bars.remove_task(own)
+                bars.update(outer, visible=bool(after))
+
+        yield task
+
+
+_BETWEEN = 3.0  # seconds, from one line to the next at least, which says that another tenth is done
+_QUIET = 20.0  # seconds after which a line says that nothing changed
+
+
+@contextmanager
+def _lines(what: str, total: int) -> Iterator[Show]:
+    """Where there is no terminal: plain lines, few of them; none about what is done at once."""
+    lines, done = _Lines(what, total), threading.Event()
+
+    def wait() -> None:
+        while not done.wait(1.0):
+            lines.tick()
+
+    waiting = threading.Thread(target=wait, daemon=True)
+    waiting.start()
+    try:
+        yield lines.show
+    finally:
+        done.set()
+        waiting.join()
+
+
+class _Lines:
+    """When a line is due, and what it says."""
+
+    def __init__(self, what: str, total: int) -> None:
+        self._what, self._total, self._detail = what, total, ""
+        self._done = self._tenths = 0
+        self._start = self._last = time.monotonic()
+        self._lock = threading.Lock()
+
+    def show(self, done: int | None = None, detail: str = "") -> None:
+        """Hears how much is done."""
+        self._done, self._detail = self._done if done is None else done, detail
+        self.tick()
+
+    def tick(self) -> None:
+        """Hears that time went by."""
+        with self._lock:
+            now, tenths = time.monotonic(), 10 * self._done // max(self._total, 1)
+            since = now - self._last
+            if since >= _QUIET or (since >= _BETWEEN and tenths > self._tenths):
+                self._last, self._tenths = now, tenths
+                self._say(f"{int(now - self._start) // 60}:{int(now - self._start) % 60:02d}")
+
+    def _say(self, elapsed: str) -> None:
+        what = f"{self._what} {self._detail}".strip()
+        with suppress(OSError, ValueError):  # nobody reads it any more
+            print(f"{what}: {self._done} of {self._total}, {elapsed}", file=sys.stderr, flush=True)

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from slefejax.errors import InputError
-from slefejax.experiments.rows import Rows, locked
+from slefejax.experiments.tables import Rows, locked
 from slefejax.experiments.tables import Row, strict, write_tables
 from slefejax.figures.page import Page, Pages
 
@@ -42,7 +42,7 @@ class Run:
         self, experiment: str, arguments: Row, out: Path | None, inputs: Row | None = None, pages: Pages | None = None
     ) -> None:
         self.experiment, self.arguments = experiment, arguments
-        self._pages, self._first = pages or Pages(), _TABLE
+        self._pages, self._first = pages or Pages(), TABLE
         self._out = out.resolve() if out else None
         self.parent = self._out.parent if self._out else Path("runs") / experiment
         asked = [experiment, arguments, inputs, str(self._out), versions(), commit(), _COLUMNS]
@@ -81,7 +81,7 @@ class Run:
         """Where a figure of this run is written. The first that is asked for is what to open first."""
         self._make_folder()
         page = self._pages.page(self.work, name)
-        self._first = page.path.name if self._first == _TABLE else self._first
+        self._first = page.path.name if self._first == TABLE else self._first
         return page
 
     def _is_own(self, file: Path) -> bool:
@@ -137,7 +137,7 @@ class Run:
         if not self._out.exists():
             return self.work.rename(self._out)
         # the folder that was named may be somebody's current one: it stays, and the record comes last
-        for file in sorted(self.work.iterdir(), key=lambda path: path.name == _RECORD):
+        for file in sorted(self.work.iterdir(), key=lambda path: path.name == RECORD):
             if file.name not in (_ROWS, _LOCK) and not (self._out / file.name).exists():
                 os.link(file, self._out / file.name)
         shutil.rmtree(self.work)
@@ -156,7 +156,8 @@ class Run:
             self._lock = locked(self.work, _LOCK)
 
 
-_LOCK, _ROWS, _RECORD, _TABLE = "lock", "rows.jsonl", "run.json", "table.csv"
+_LOCK, _ROWS = "lock", "rows.jsonl"
+RECORD, TABLE = "run.json", "table.csv"
 
 
 def write_record(folder: Path, experiment: str, arguments: Row, first: str, more: Row) -> None:
@@ -171,12 +172,12 @@ def write_record(folder: Path, experiment: str, arguments: Row, first: str, more
         "machine": machine(),
         **more,
     }
-    (folder / _RECORD).write_text(json.dumps(strict(content), indent=2, default=str, allow_nan=False) + "\n")
+    (folder / RECORD).write_text(json.dumps(strict(content), indent=2, default=str, allow_nan=False) + "\n")
 
 
 def open_first(folder: Path) -> Path:
     """The file of a finished run that says the most."""
-    return folder / json.loads((folder / _RECORD).read_text())["open_first"]
+    return folder / json.loads((folder / RECORD).read_text())["open_first"]
 
 
 def digest(content: bytes) -> str:

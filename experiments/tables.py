@@ -1,14 +1,18 @@
-"""Tables of rows as files: CSV, and Parquet where the extra of that name is installed."""
+"""Rows on disk, whole whatever happens while they are written, and tables of them: CSV, and Parquet with its extra."""
 
 from __future__ import annotations
 
 import csv
+import fcntl
+import json
 import math
+import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from slefejax.errors import InputError
 from slefejax.late import one_at_a_time
 
 Row = dict[str, Any]
@@ -26,6 +30,12 @@ def write_csv(path: Path, rows: list[Row]) -> None:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
+
+
+def header(path: Path) -> list[str]:
+    """The columns of a table."""
+    with path.open(newline="") as file:
+        return next(csv.reader(file), [])
 
 
 def write_parquet(path: Path, rows: list[Row]) -> None:
@@ -67,3 +77,52 @@ def strict(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [strict(part) for part in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+class Rows:
+    """A file of rows, to which any number of processes may add."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __call__(self) -> list[Row]:
+        """All that are whole; none where there is no file."""
+        if not self.path.exists():
+            return []
+        lines = self.path.read_text(errors="replace").splitlines()
+        return [row for line in lines if (row := _whole(line)) is not None]
+
+    def add(self, row: Row) -> None:
+        """Keep a row at once, so that it survives whatever happens next."""
+        with self.path.open("a+b") as file:
+            # a run that was stopped, or whose disk was full, may have left half a line
+            torn = file.seek(0, os.SEEK_END) and (file.seek(-1, os.SEEK_END), file.read(1))[1] != b"\n"
+            file.write(b"\n" * bool(torn) + json.dumps(row).encode() + b"\n")
+            file.flush()
+            os.fsync(file.fileno())
+
+
+def _whole(line: str) -> Row | None:
+    try:
+        row = json.loads(line)
+    except ValueError:
+        return None
+    return row if isinstance(row, dict) else None
+
+
+def locked(folder: Path, name: str) -> int:
+    """A folder that is made if it is not there, held by this process until the file descriptor is closed.
+
+    Raises InputError where it cannot be made, and where another process holds it.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = os.open(folder / name, os.O_CREAT | os.O_RDWR)
+    except OSError as error:
+        raise InputError(f"the results cannot be written to {folder.parent}: {error.strerror or error}") from None
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(lock)
+        raise InputError(f"the same run is under way in another process ({folder}): wait for it") from None
+    return lock

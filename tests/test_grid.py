@@ -15,7 +15,7 @@ from slefejax.experiments.cli import main
 from slefejax.experiments.grid import running
 from slefejax.experiments.grid.measured import MEASURES
 from slefejax.experiments.grid.running import Running
-from slefejax.experiments.rows import Rows
+from slefejax.experiments.tables import Rows
 from slefejax.experiments.studies.measures import Measure
 from slefejax.gpu import Renderer
 from slefejax.measure.error import drawn_error

@@ -20,7 +20,7 @@ from slefejax.experiments.grid.plan import Case, Study
 from slefejax.experiments.grid.sights import Sights
 from slefejax.experiments.options import camera_record
 from slefejax.experiments.report import progress
-from slefejax.experiments.rows import Rows, locked
+from slefejax.experiments.tables import Rows, locked
 from slefejax.experiments.store import commit, digest, versions, write_record
 from slefejax.experiments.tables import Row, write_tables
 
