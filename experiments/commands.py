@@ -29,6 +29,7 @@ COMMANDS = {
     "stability": "checks.stability:Stability",
     "attack": "attack.attack:Attack",
     "bench": "bench.bench:Bench",
+    "compare": "compare.compare:Compare",
     "doctor": "checks.doctor:Doctor",
 }
 

@@ -49,7 +49,7 @@ def test_help_is_plain(capsys, name):
     assert not LEAKS.search(said), LEAKS.search(said)
     if name:
         listed = set(re.findall(r"^\W*(--[a-z][a-z-]*)", said, flags=re.MULTILINE))
-        own = option_names(command_of(name)) - {"scene", "scenes", "study"}
+        own = option_names(command_of(name)) - {"scene", "scenes", "study", "first", "second"}
         assert listed == {f"--{option.replace('_', '-')}" for option in own}
 
 

@@ -1,0 +1,1 @@
+"""Runs that are finished, side by side."""
