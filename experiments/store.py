@@ -21,8 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from slefejax.errors import InputError
-from slefejax.experiments.tables import Rows, locked
-from slefejax.experiments.tables import Row, strict, write_tables
+from slefejax.experiments.tables import Row, Rows, locked, strict, write_tables
 from slefejax.figures.page import Page, Pages
 
 PACKAGES = ("slefejax", "jax", "jaxlib", "numpy", "scipy", "scikit-image", "trimesh", "moderngl", "matplotlib")

@@ -15,8 +15,8 @@ from slefejax.experiments.cli import main
 from slefejax.experiments.grid import running
 from slefejax.experiments.grid.measured import MEASURES
 from slefejax.experiments.grid.running import Running
-from slefejax.experiments.tables import Rows
 from slefejax.experiments.studies.measures import Measure
+from slefejax.experiments.tables import Rows
 from slefejax.gpu import Renderer
 from slefejax.measure.error import drawn_error
 from tests.test_cli import run_json
@@ -223,6 +223,20 @@ def test_what_a_method_refuses_is_a_row(tmp_path):
     assert fine["refused"] == ""
     assert fine["sup_error_px"] > 0
     assert "1 of 2 cases were refused" in own.notes[0]
+
+
+def test_two_studies_are_compared_case_by_case(tmp_path, capsys):
+    """By settings and tolerances too, which no other table has."""
+    study = {**QUICK, "tolerances_px": (0.5, 1.0), "methods": ({"name": "certified", "tiles": 1}, "certified")}
+    Study(**study).run(tmp_path / "one")
+    Study(**study).run(tmp_path / "other")
+    assert main(["compare", str(tmp_path / "one"), str(tmp_path / "other")]) == 0
+    Study(**{**study, "tolerances_px": (0.5, 2.0)}).run(tmp_path / "third")
+    capsys.readouterr()
+    assert main(["compare", str(tmp_path / "one"), str(tmp_path / "third"), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert found["rows"] == []
+    assert (len(found["only_in_first"]), len(found["only_in_second"])) == (2, 2)
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path):

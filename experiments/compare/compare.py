@@ -43,7 +43,7 @@ class Compare:
     def run(self) -> Report:
         """Read both, match their rows, and tell what moved."""
         one, other = self._read()
-        rows = matched(one.rows, other.rows)
+        rows = matched(one.rows, other.rows, one.record.get("case_columns", ()))
         both = [name for name in one.columns if name in other.columns and name not in rows.key]
         steady = [name for name in both if not MAY_MOVE.search(name)]
         if not rows.pairs or not steady:

@@ -39,9 +39,12 @@ class Matched:
     only: tuple[list[str], list[str]]
 
 
-def matched(first: Sequence[Row], second: Sequence[Row]) -> Matched:
-    """Rows by their cases. Rows that nothing tells apart are matched in their order."""
-    names = key_of(first, second)
+def matched(first: Sequence[Row], second: Sequence[Row], told: Sequence[str] = ()) -> Matched:
+    """Rows by their cases. Rows that nothing tells apart are matched in their order.
+
+    told : the columns that say which case a row is of, where the run's record has them
+    """
+    names = tuple(name for name in told if name in first[0] and name in second[0]) or key_of(first, second)
     one, other = _by_case(first, names), _by_case(second, names)
     pairs = [(_said(names, key), row, other[key]) for key, row in one.items() if key in other]
     only = [[_said(names, key) for key in own if key not in rest] for own, rest in ((one, other), (other, one))]

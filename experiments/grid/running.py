@@ -20,9 +20,8 @@ from slefejax.experiments.grid.plan import Case, Study
 from slefejax.experiments.grid.sights import Sights
 from slefejax.experiments.options import camera_record
 from slefejax.experiments.report import progress
-from slefejax.experiments.tables import Rows, locked
 from slefejax.experiments.store import commit, digest, versions, write_record
-from slefejax.experiments.tables import Row, write_tables
+from slefejax.experiments.tables import Row, Rows, locked, write_tables
 
 _ROWS, _LOCK, _TABLE = "rows.jsonl", "lock", "table"
 REFUSED = "refused"
@@ -54,7 +53,8 @@ class Running:
             found = self.table()
             write_tables(self.folder, _TABLE, found)
             asked = {**asdict(self.study), "rules": None, "folder": None}
-            more = {"scene": list(self.study.scenes), "notes": self.notes}
+            columns = list(self.study.columns(next(iter(self.cases.values())), ""))
+            more = {"scene": list(self.study.scenes), "notes": self.notes, "case_columns": columns}
             write_record(self.folder, "study", asked, f"{_TABLE}.csv", more)
         return found
 
