@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -295,3 +299,22 @@ def test_every_measure_of_patches_and_meshes(tmp_path):
     assert np.isnan(teapot["limit_max_px"])
     assert walker["limit_max_px"] > 0
     assert all(row["render_ms"] > 0 and row["machine"] for row in (teapot, walker))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_killed_again_and_again(tmp_path, kind):
+    """As soon as there is one row more; no row is lost, none is there twice."""
+    path = write(tmp_path / "study.toml", **QUICK, tolerances_px=[0.5 * 1.25**k for k in range(6)])
+    folder = tmp_path / "out"
+    command = [sys.executable, "-m", "slefejax", "study", str(path), "--out", str(folder)]
+    kept = Rows(folder / "rows.jsonl")
+    for _ in range(3):
+        before = len(kept())
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as running:
+            while running.poll() is None and len(kept()) == before:
+                time.sleep(0.02)
+            running.send_signal(kind)
+        assert len(kept()) > before
+    assert subprocess.run(command, capture_output=True, check=False).returncode == 0
+    assert len({row["case"] for row in kept()}) == len(kept()) == 6

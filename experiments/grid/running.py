@@ -45,10 +45,13 @@ class Running:
         """Measure what is not there yet. A row a case, in the order of the study."""
         with self._held():
             with progress("measuring", len(self.cases)) as show:
+                done = self.done
                 for key, case in self.cases.items():
-                    show(self.done, detail=f"{case.scene}, view {case.view}")
-                    self._measure(key, case)
-                    show(self.done)
+                    if not self._is_done(key):
+                        show(done, detail=f"{case.scene}, view {case.view}")
+                        self._measure(key, case)
+                        done += 1
+                    show(done)
             self.sights.release()
             found = self.table()
             write_tables(self.folder, _TABLE, found)
@@ -112,8 +115,6 @@ class Running:
         return [name for name in self.study.measure if not set(MEASURES[name].columns) <= set(own)]
 
     def _measure(self, key: str, case: Case) -> None:
-        if self._is_done(key):
-            return
         missing, start = self._missing(self._known.get(key, {})), time.perf_counter()
         row: Row = {"case": key, "by": self._by, "scene": case.scene, REFUSED: ""}
         try:
@@ -131,7 +132,7 @@ class Running:
         names = [*ALWAYS.columns, *(column for name in self.study.measure for column in MEASURES[name].columns)]
         known = self._known[key]
         own = {name: known.get(name, np.nan) for name in dict.fromkeys(names)}
-        return {**self.study.columns(case, self.sights.scene(case).name), **own, REFUSED: known[REFUSED]}
+        return {**self.study.columns(case, self.sights.name(case)), **own, REFUSED: known[REFUSED]}
 
     def _key(self, case: Case) -> str:
         """What no other case has, whatever else the study asks."""

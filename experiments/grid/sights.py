@@ -28,12 +28,14 @@ class Sights:
         self._load = lru_cache(_SCENES)(self._read)
         self._views: dict[tuple[str, str], list[View]] = {}
         self._contents: dict[tuple[str, str], str] = {}
+        self._names: dict[tuple[str, str], str] = {}
         for case in study.cases():
             own = case.scene, case.scheme
             if own not in self._views:
                 scene = self.scene(case)
                 self._views[own] = study.views.around(scene)
                 self._contents[own] = digest(scene.patches().tobytes())
+                self._names[own] = scene.name
         self._drawn = bool(set(study.measure) & set(DRAWN))
         self._normals = "normals" in study.measure
         self._of: tuple[Any, ...] = ()
@@ -52,6 +54,10 @@ class Sights:
     def content(self, case: Case) -> str:
         """A short name for the scene's patches."""
         return self._contents[case.scene, case.scheme]
+
+    def name(self, case: Case) -> str:
+        """Of the scene."""
+        return self._names[case.scene, case.scheme]
 
     def of(self, case: Case) -> Sight:
         """What measures look at. Cases of a scene and a view share what they can while they come one after another."""
