@@ -82,6 +82,9 @@ HEADINGS = {
     "relative_percent": "by, %",
     "without_ms": "without, ms",
     "with_ms": "with, ms",
+    "tolerance_px": "within px",
+    "tolerance_deg": "within °",
+    "tolerance_depth": "within depth",
 }
 _DIGITS = {"scale": 9, "first": 7, "second": 7, "by": 3}
 SETTINGS = ("scene", "method", "segments", "patches", "spacing", "scheme", "degree", "precision", "device", "unit")

@@ -17,7 +17,7 @@ import slefejax as sj
 from slefejax import Camera, InputError, Study, View
 from slefejax.experiments.cli import main
 from slefejax.experiments.grid import running
-from slefejax.experiments.grid.measured import MEASURES
+from slefejax.experiments.grid.measured import MEASURES, TELLING
 from slefejax.experiments.grid.running import Running
 from slefejax.experiments.studies.measures import Measure
 from slefejax.experiments.tables import Rows
@@ -227,6 +227,20 @@ def test_what_a_method_refuses_is_a_row(tmp_path):
     assert fine["refused"] == ""
     assert fine["sup_error_px"] > 0
     assert "1 of 2 cases were refused" in own.notes[0]
+
+
+def test_a_terminal_shows_what_was_measured(tmp_path, capsys, monkeypatch):
+    """Columns in which no two cases differ are in the table on disk alone."""
+    monkeypatch.setenv("COLUMNS", "80")
+    measure = ["domain", "minimal"]
+    path = write(tmp_path / "study.toml", **{**QUICK, "measure": measure}, tolerances_px=[0.5, 1.0])
+    assert main(["study", str(path), "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    heads = next(line for line in said.splitlines() if "sup px" in line)
+    assert "/ minimal" in heads
+    assert "view" not in heads
+    assert set(TELLING) == set(MEASURES)
+    assert all(TELLING[name] in MEASURES[name].columns for name in MEASURES)
 
 
 def test_two_studies_are_compared_case_by_case(tmp_path, capsys):

@@ -42,7 +42,8 @@ class StudyOfFile:
             return Report(scenes, None, rows, title + _minutes(_sum(rows, "minutes")), as_json=self.output.json)
         rows = running.rows()
         title = f"{name}: {len(rows):,} cases"
-        return Report(scenes, running.folder, rows, title, running.notes, as_json=self.output.json)
+        shown = running.shown(rows)
+        return Report(scenes, running.folder, rows, title, running.notes, as_json=self.output.json, shown=shown)
 
 
 def _sum(rows: list[Row], name: str) -> float:

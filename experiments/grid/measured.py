@@ -87,4 +87,15 @@ MEASURES: dict[str, Measure] = {
     "minimal": minimal,
     "times": times,
 }
+# of each, what says most where there is no room for all
+TELLING = {
+    "pixels": "max_error_px",
+    "domain": "sup_error_px",
+    "drawn": "drawn_sup_error_px",
+    "covering": "share_wrong_silhouette",
+    "normals": "max_normal_error_deg",
+    "limit": "limit_max_px",
+    "minimal": "triangles_over_minimal",
+    "times": "predict_ms",
+}
 DRAWN = ("pixels", "drawn", "covering", "normals", "times")  # those that need an OpenGL device

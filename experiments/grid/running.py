@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from slefejax.errors import InputError, naming
-from slefejax.experiments.grid.measured import ALWAYS, MEASURES
+from slefejax.experiments.grid.measured import ALWAYS, MEASURES, TELLING
 from slefejax.experiments.grid.plan import Case, Study
 from slefejax.experiments.grid.sights import Sights
 from slefejax.experiments.options import camera_record
@@ -56,8 +56,7 @@ class Running:
             found = self.table()
             write_tables(self.folder, _TABLE, found)
             asked = {**asdict(self.study), "rules": None, "folder": None}
-            columns = list(self.study.columns(next(iter(self.cases.values())), ""))
-            more = {"scene": list(self.study.scenes), "notes": self.notes, "case_columns": columns}
+            more = {"scene": list(self.study.scenes), "notes": self.notes, "case_columns": self.case_columns}
             write_record(self.folder, "study", asked, f"{_TABLE}.csv", more)
         return found
 
@@ -66,6 +65,17 @@ class Running:
         found = [self._row(key, case) for key, case in self.cases.items() if self._is_done(key)]
         refused = any(row[REFUSED] for row in found)
         return found if refused else [{name: row[name] for name in row if name != REFUSED} for row in found]
+
+    @property
+    def case_columns(self) -> list[str]:
+        """Those that say which case a row is of."""
+        return list(self.study.columns(next(iter(self.cases.values())), ""))
+
+    def shown(self, rows: list[Row]) -> tuple[str, ...]:
+        """What a terminal shows of them: what the cases differ in, and one column of each measure."""
+        differ = [name for name in self.case_columns if len({str(row[name]) for row in rows}) > 1]
+        told = [TELLING[name] for name in self.study.measure]
+        return (*differ, *told, "triangles", *([REFUSED] if REFUSED in rows[0] else []))
 
     @property
     def done(self) -> int:
