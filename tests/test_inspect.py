@@ -9,8 +9,8 @@ import pytest
 from matplotlib.image import imread
 
 from slefejax import NoOpenGLError
-from slefejax.experiments.checks import inspect as inspecting
 from slefejax.experiments.cli import main
+from slefejax.gpu import renderer
 from tests.mixed import as_bv, cube_sphere
 from tests.tables import TABLES
 from tests.test_cli import SMALL, in_an_empty_folder, run_json  # noqa: F401
@@ -116,7 +116,7 @@ def test_inspect_without_opengl(capsys, tmp_path, monkeypatch):
     def none():
         raise NoOpenGLError("no device here")
 
-    monkeypatch.setattr(inspecting, "open_device", none)
+    monkeypatch.setattr(renderer, "open_device", none)
     write(tmp_path, "box.obj", CUBE)
     result = run_json(capsys, "inspect", "box.obj", *SMALL, "--reflections")
     assert {"no picture: no device here", "no reflections: no device here"} <= set(result["notes"])

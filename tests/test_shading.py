@@ -13,6 +13,7 @@ from slefejax.experiments.shading import FOR_CERTIFIED, Shaded
 from slefejax.experiments.studies import minimality
 from slefejax.experiments.studies.look import Shown
 from tests.test_cli import COLUMNS, main, run_json
+from tests.test_scene import CUBE
 
 ALONG = np.linspace(0, 1, 4)
 CURVES = ((0, 0), (0.2, 0.6), (1.0, 0.6), (1.2, 0)), ((1.5, 0), (2.5, 1), (1.5, 1), (2.5, 0))
@@ -138,7 +139,39 @@ def test_a_session_tells_its_tangent_patches():
         np.testing.assert_allclose(own, other, atol=1e-12)
 
 
-@pytest.mark.parametrize("command", ["minimality", "certify", "error-time"])
+@pytest.mark.gl
+def test_inspect_measures_normals(device, capsys):
+    command = ["inspect", "cusped.bpt", "--size", "120x80"]
+    plain = run_json(capsys, *command)["rows"][0]
+    result = run_json(capsys, *command, "--normal-tolerance", "0.5")
+    (row,) = result["rows"]
+    assert not TURNED & set(plain)
+    assert row["triangles"] > plain["triangles"]
+    assert 0.1 < row["max_normal_error_deg"] <= 0.5
+    assert row["patches_without_normal"] == 1
+    assert UNCLAIMED in result["notes"]
+
+
+@pytest.mark.slow
+@pytest.mark.gl
+def test_the_price_of_normals_scheme_by_scheme(device, capsys):
+    Path("box.obj").write_text(CUBE)
+    command = ["limit", "box.obj", "--size", "120x80"]
+    one, asked = ["--scheme", "acc"], ["--normal-tolerance", "1"]
+    plain = run_json(capsys, *command, *one)["rows"][0]
+    own = run_json(capsys, *command, *one, *asked)["rows"][0]
+    soft = run_json(capsys, *command, *one, *asked, "--normals", "tangents")["rows"][0]
+    assert "patches_without_normal" not in plain
+    assert plain["triangles"] < min(own["triangles"], soft["triangles"])
+    assert own["triangles"] != soft["triangles"]
+    assert main([*command, *asked, "--scheme", "gregory", "--normals", "tangents"]) == 2
+    assert "patches of the scheme 'gregory' have no tangent patches" in capsys.readouterr().err
+    every = run_json(capsys, *command, *asked, "--normals", "tangents")
+    assert {row["scheme"] for row in every["rows"]} == {"acc", "catmull-clark+acc"}
+    assert "left out, as they have no tangent patches: gregory, catmull-clark+gregory" in every["notes"]
+
+
+@pytest.mark.parametrize("command", ["minimality", "certify", "error-time", "inspect", "limit"])
 @pytest.mark.parametrize("angle", ["0", "-1", "200", "nan"])
 def test_angles_that_are_none(device, capsys, command, angle):
     assert main([command, "cusped.bpt", "--normal-tolerance", angle]) == 2

@@ -28,17 +28,18 @@ from slefejax.experiments.options import (
     option_names,
 )
 from slefejax.experiments.report import Report
+from slefejax.experiments.shading import ShadingOptions, both_tolerances, unclaimed
 from slefejax.experiments.store import Row, Run, digest
-from slefejax.experiments.studies.measures import slips
+from slefejax.experiments.studies.look import Look, Shown
+from slefejax.experiments.studies.measures import normals, slips
 from slefejax.figures.checks.inspect import Panels, write_inspect_figure
 from slefejax.figures.checks.limit import Pictures, write_normal_figure
 from slefejax.figures.fitting import short
-from slefejax.gpu import Renderer, open_device
 from slefejax.io.content import Y_UP, Z_UP, Content
 from slefejax.loading import BUILT_IN, read
-from slefejax.measure.error import drawn_error
 from slefejax.model.defects import find_defects, isolated_vertices
 from slefejax.model.mesh import Mesh
+from slefejax.predict.methods import Certified
 from slefejax.tessellator.coincidence import coincident_sides
 from slefejax.tessellator.edges import collapsed
 from slefejax.tessellator.levels import HIGHEST_LEVEL, triangle_counts
@@ -55,6 +56,7 @@ class Inspect:
     """A file (.obj, .usd…, .glb, …: the README lists them), or walker, teapot, twisted-quad, steep-patch."""
     tolerance: float = 0.5
     """Error in pixels for the factors that the picture shows."""
+    shading: tyro.conf.OmitArgPrefixes[ShadingOptions] = field(default_factory=ShadingOptions)
     reflections: bool = False
     """Draw stripes that normals of the surface reflect, and those of tangent patches beside them: reflections.png."""
     savings: bool = False
@@ -65,6 +67,7 @@ class Inspect:
 
     def run(self) -> Report:
         """Read, count, convert, draw."""
+        self.shading.check()
         content = self._content()
         row: Row = {} if content is None or content.mesh is None else mesh_row(content.mesh)
         try:
@@ -79,12 +82,13 @@ class Inspect:
             row |= distance_row(scene, view)
         if self.reflections:
             scene.tangents()  # a scene without is refused before anything is drawn
+        shown = Shown(scene, view, self.tolerance, shaded=self.shading.of(scene))
         arguments = {**asdict(self), "output": None, "camera": camera_record(view)}
         with Run(
             "inspect", arguments, self.output.out, {"scene": digest(scene.patches().tobytes())}, self.output.pages(self)
         ) as run:
             notes = (*scene.notes, *(f"not needed: {what}" for what in scene.left_out()))
-            found, said = _picture(scene, view, self.tolerance, run)
+            found, said = _picture(shown, run)
             row |= found
             notes += _unshared(row) + said
             notes += _reflections(scene, view, self.tolerance, run) if self.reflections else ()
@@ -213,38 +217,45 @@ def _timed(work: Callable[[], Any]) -> tuple[Any, float]:
     return result, 1e3 * (time.perf_counter() - start)
 
 
-def _picture(scene: Scene, view: View, tolerance: float, run: Run) -> tuple[Row, tuple[str, ...]]:
+def _picture(shown: Shown, run: Run) -> tuple[Row, tuple[str, ...]]:
     """Factors of the view, and the figure if there is an OpenGL device."""
-    patches = scene.patches()
-    factors = tessellation_factors(patches, view, tolerance=tolerance, edge_numbers=scene.edge_numbers)
-    inner, edges = factors.inner, factors.edges
+    scene, view, shaded = shown.scene, shown.view, shown.shaded
+    asked = {"tolerance": shown.tolerance, **shaded.asked(Certified())}
+    factors = tessellation_factors(shown.patches, view, edge_numbers=scene.edge_numbers, **asked)
+    shown.heard(factors)
+    triangles = int(triangle_counts(factors.inner, factors.edges).sum())
+    row = {"triangles": triangles, "factor_max": float(np.max(factors.factor))}
     beyond = int(np.sum(factors.inner.max(axis=1) > HIGHEST_LEVEL))
-    row = {"triangles": int(triangle_counts(inner, edges).sum()), "factor_max": float(np.max(factors.factor))}
     notes = (f"{beyond} patches need levels above {HIGHEST_LEVEL} and are drawn in pieces",) if beyond else ()
+    notes += unclaimed(factors.without_normal)
     try:
-        renderer = Renderer(patches, open_device())
+        look = shown.drawn(factors)
     except NoOpenGLError as error:
         return row, (*notes, f"no picture: {error}")
-    seen = renderer.draw(view, inner, edges)
-    renderer.release()
-    shown = seen.patch >= 0
-    if not shown.any():
+    seen = look.seen
+    shown.release()
+    if not (seen.patch >= 0).any():
         return row, (*notes, "no picture: nothing of the scene is on the screen")
-    error = drawn_error(patches, view, seen)
-    row |= {"max_error_px": float(np.nanmax(error)), **slips(seen)}
-    row["covered_share"] = float(shown.mean())
-    kinds = np.full(len(patches), KINDS.index("bezier")) if scene.kinds is None else scene.kinds
-    painted = np.where(shown, np.append(kinds, 0)[seen.patch], -1)
-    factor = np.where(shown, np.append(np.asarray(factors.factor, float), 0.0)[seen.patch], np.nan)
-    panels = Panels(outlines(scene, view).polygons, seen.patch, painted, KINDS, factor, error)
-    write_inspect_figure(run.figure("inspect"), panels, _title(scene), tolerance)
+    row |= {"max_error_px": float(np.nanmax(look.error)), **slips(seen), **(normals(look) if shaded else {})}
+    row["covered_share"] = float(np.mean(seen.patch >= 0))
+    allowed = both_tolerances(shown.tolerance, shaded.degrees)
+    write_inspect_figure(run.figure("inspect"), _panels(look), _title(scene), allowed)
     return row, notes
+
+
+def _panels(look: Look) -> Panels:
+    """The pictures of a look: outlines, kinds, factors, errors."""
+    scene, patch = look.beside.scene, look.seen.patch
+    kinds = np.full(len(look.patches), KINDS.index("bezier")) if scene.kinds is None else scene.kinds
+    painted = np.append(kinds, -1)[patch]
+    factor = np.append(np.asarray(look.with_factors.factor, float), np.nan)[patch]
+    return Panels(outlines(scene, look.view).polygons, patch, painted, KINDS, factor, look.error)
 
 
 def _reflections(scene: Scene, view: View, tolerance: float, run: Run) -> tuple[str, ...]:
     """Draw them, or say why not."""
     try:
-        found = reflected(scene, view, tolerance, open_device())
+        found = reflected(scene, view, tolerance)
     except NoOpenGLError as error:
         return (f"no reflections: {error}",)
     if found is None:

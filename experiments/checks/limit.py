@@ -15,10 +15,12 @@ from slefejax.experiments.checks.mirror import reflections
 from slefejax.experiments.checks.splats import splatted
 from slefejax.experiments.options import FigureOptions, LoadOptions, Scenes, ViewOptions, camera_record, notes_of
 from slefejax.experiments.report import Report, progress
+from slefejax.experiments.shading import Shaded, ShadingOptions, numbers_without
 from slefejax.experiments.store import Row, Run, digest
 from slefejax.figures.checks.limit import Pictures, write_limit_figure, write_reflection_figure
 from slefejax.figures.fitting import short
 from slefejax.measure.jumps import normal_jumps
+from slefejax.predict.methods import Certified
 
 _DEPTHS = (1, 2, 3)
 _MOST_PATCHES = 200_000
@@ -47,6 +49,7 @@ class Limit:
     """Files with control meshes (.obj, .usd…, .glb, …), or walker."""
     tolerance: float = 0.5
     """Error in pixels for the triangles that are counted."""
+    shading: tyro.conf.OmitArgPrefixes[ShadingOptions] = field(default_factory=ShadingOptions)
     loading: tyro.conf.OmitArgPrefixes[LoadOptions] = field(default_factory=LoadOptions)
     camera: tyro.conf.OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
     output: tyro.conf.OmitArgPrefixes[FigureOptions] = field(default_factory=FigureOptions)
@@ -55,6 +58,7 @@ class Limit:
         """Measure, tabulate, draw."""
         if not self.scenes:
             raise InputError("name at least one scene with a control mesh: a file or walker")
+        self.shading.check()
         scenes = [self.loading.load(name) for name in self.scenes]
         for scene in scenes:
             _check(scene)
@@ -90,6 +94,9 @@ class Limit:
                     notes.append(f"{scene.name}: depth {depth} is left out, {made:,} patches")
                     continue
                 cases += [_Case(number, f"catmull-clark+{own}", depth) for own in ("acc", "gregory")]
+        if self.shading.normals == "tangents" and self.loading.scheme == "auto":
+            cases = [case for case in cases if not case.scheme.endswith("gregory")]
+            notes.append("left out, as they have no tangent patches: gregory, catmull-clark+gregory")
         return cases, tuple(notes)
 
     def _scene(self, case: _Case) -> Scene:
@@ -104,7 +111,7 @@ class Limit:
             "scheme": case.scheme,
             "depth": case.depth,
             "patches": len(scene.patches()),
-            "triangles": triangles(scene, view, self.tolerance),
+            **triangles(scene, view, self.tolerance, self.shading.of(scene)),
             **distance_row(scene, view),
             "normal_jump_deg": largest_jump(scene),
             "seconds": time.perf_counter() - start,
@@ -177,10 +184,12 @@ def largest_jump(scene: Scene) -> float:
     return float(jumps.max()) if jumps.size else float("nan")
 
 
-def triangles(scene: Scene, view: View, tolerance: float) -> int:
-    """At certified levels."""
-    factors = tessellation_factors(scene.patches(), view, tolerance=tolerance, edge_numbers=scene.edge_numbers)
-    return int(triangle_counts(factors.inner, factors.edges).sum())
+def triangles(scene: Scene, view: View, tolerance: float, shaded: Shaded) -> Row:
+    """At certified levels; of normals that have to be right, too, on how many patches nothing is claimed."""
+    asked = {"tolerance": tolerance, **shaded.asked(Certified())}
+    factors = tessellation_factors(scene.patches(), view, edge_numbers=scene.edge_numbers, **asked)
+    row: Row = {"triangles": int(triangle_counts(factors.inner, factors.edges).sum())}
+    return row | ({"patches_without_normal": len(numbers_without(factors.without_normal))} if shaded else {})
 
 
 def _unbounded(rows: list[Row]) -> tuple[str, ...]:

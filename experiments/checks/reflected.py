@@ -11,7 +11,7 @@ from scipy.ndimage import uniform_filter
 from slefejax import Scene, View, tessellation_factors
 from slefejax.experiments.checks.mirror import stripes
 from slefejax.geometry.view import homogeneous
-from slefejax.gpu import Device, Renderer
+from slefejax.gpu import Renderer
 from slefejax.measure.jumps import normal_jumps
 
 _CLOSE = (720, 720)  # pixels
@@ -33,15 +33,15 @@ class Reflected(NamedTuple):
     jumps: list[float]
 
 
-def reflected(scene: Scene, view: View, tolerance: float, device: Device) -> Reflected | None:
+def reflected(scene: Scene, view: View, tolerance: float) -> Reflected | None:
     """As they are drawn at certified levels; None where nothing of the scene is seen.
 
-    Raises InputError for a scene without tangent patches.
+    Raises InputError for a scene without tangent patches, NoOpenGLError without a device.
     """
     tangents = scene.tangents()
     renderers = (
-        Renderer(scene.patches(), device, normals="surface"),
-        Renderer(scene.patches(), device, normals="tangents", tangents=tangents),
+        Renderer(scene.patches(), normals="surface"),
+        Renderer(scene.patches(), normals="tangents", tangents=tangents),
     )
 
     def pictures(own: View) -> list[np.ndarray]:

@@ -56,8 +56,8 @@ class Panels:
     error: np.ndarray
 
 
-def write_inspect_figure(page: Page, panels: Panels, title: str, tolerance: float) -> None:
-    """Draw the four pictures; ``tolerance`` is the error in pixels that the factors are for."""
+def write_inspect_figure(page: Page, panels: Panels, title: str, tolerance: str) -> None:
+    """Draw the four pictures; ``tolerance`` is what the factors are for, with units."""
     box = occupied(panels.kind >= 0)
     net = _around(panels)
     down, across = (own.stop - own.start for own in box)
@@ -119,11 +119,11 @@ def _edges(axes: Any, panels: Panels, box: Any) -> None:
     axes.imshow(layer, origin="lower", interpolation="nearest")
 
 
-def _factors(part: Any, panels: Panels, box: Any, tolerance: float) -> None:
+def _factors(part: Any, panels: Panels, box: Any, tolerance: str) -> None:
     axes = part.subplots()
     picture = axes.imshow(panels.factor[box], origin="lower", cmap=FACTOR_MAP, interpolation="nearest")
     part.colorbar(picture, ax=axes, location="bottom", shrink=0.8, pad=0.02, label="factor: pieces along each side")
-    bare(axes, f"certified tessellation factors for {tolerance:g} px")
+    bare(axes, f"certified tessellation factors for {tolerance}")
 
 
 def _errors(part: Any, panels: Panels, box: Any) -> None:
