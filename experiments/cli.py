@@ -32,12 +32,13 @@ def _run(arguments: list[str] | None) -> int:
     from slefejax.experiments.options import option_names
     from slefejax.experiments.parsing import NO_CACHE, parsed
     from slefejax.experiments.report import working
+    from slefejax.experiments.store import typed
 
     command: Any = None
     words = [argument for argument in given if argument != NO_CACHE]
     try:
         command = parsed(words)
-        with working(words[0]):
+        with working(words[0]), typed(given):
             start_jax(keep=NO_CACHE not in given)
             report: Any = command.run()
     except InputError as error:

@@ -18,7 +18,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from slefejax.experiments.store import TABLE, open_first
+from slefejax.experiments.store import PAGE, TABLE, open_first
 from slefejax.experiments.tables import Row, header, strict
 from slefejax.experiments.terminal import MOST_ROWS, cut, fitted, heading
 
@@ -62,7 +62,9 @@ class Report:
             apart = [] if not lines or lines[-1].endswith("\n") else [""]
             lines += [*apart, *self._table(title, rows)] if rows else []
         if self.out is not None:
-            lines.append(f"Results are in {self.out}: open {open_first(self.out).name} first")
+            first = open_first(self.out).name
+            lines += [f"{PAGE} has the table, charts and all pictures, for a browser"] * (first != PAGE)
+            lines.append(f"Results are in {self.out}: open {first} first")
         return "".join(f"{line}\n" for line in lines)
 
     def _table(self, title: str, rows: Sequence[Row], shown: Sequence[str] = ()) -> Iterator[str]:

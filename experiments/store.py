@@ -11,10 +11,12 @@ import hashlib
 import json
 import os
 import platform
+import shlex
 import shutil
 import subprocess
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -41,7 +43,7 @@ class Run:
         self, experiment: str, arguments: Row, out: Path | None, inputs: Row | None = None, pages: Pages | None = None
     ) -> None:
         self.experiment, self.arguments = experiment, arguments
-        self._pages, self._first = pages or Pages(), TABLE
+        self._pages, self._first = pages or Pages(), PAGE
         self._out = out.resolve() if out else None
         self.parent = self._out.parent if self._out else Path("runs") / experiment
         asked = [experiment, arguments, inputs, str(self._out), versions(), commit(), _COLUMNS]
@@ -77,10 +79,10 @@ class Run:
         return self.work / name
 
     def figure(self, name: str) -> Page:
-        """Where a figure of this run is written. The first that is asked for is what to open first."""
+        """Where a figure of this run is written. The first that is asked for is what to open first, else the page."""
         self._make_folder()
         page = self._pages.page(self.work, name)
-        self._first = page.path.name if self._first == TABLE else self._first
+        self._first = page.path.name if self._first == PAGE else self._first
         return page
 
     def _is_own(self, file: Path) -> bool:
@@ -121,10 +123,9 @@ class Run:
         return [found[value] for value in values]
 
     def finish(self, rows: list[Row], record: Row) -> Path:
-        """Write the table and the record, and put the run's folder into place. Returns the folder."""
+        """Write the table, the record and the page, and put the run's folder into place. Returns the folder."""
         self._make_folder()
-        write_tables(self.work, "table", rows)
-        write_record(self.work, self.experiment, self.arguments, self._first, record)
+        write_results(self.work, self.experiment, self.arguments, rows, record, self._first)
         place = self._into_place()
         for name in (_ROWS, _LOCK):
             (place / name).unlink(missing_ok=True)
@@ -156,14 +157,21 @@ class Run:
 
 
 _LOCK, _ROWS = "lock", "rows.jsonl"
-RECORD, TABLE = "run.json", "table.csv"
+RECORD, TABLE, PAGE = "run.json", "table.csv", "report.html"
 
 
-def write_record(folder: Path, experiment: str, arguments: Row, first: str, more: Row) -> None:
-    """What was asked for, by what, where and when; ``first``: the file to open first."""
+def write_results(folder: Path, experiment: str, arguments: Row, rows: list[Row], more: Row, first: str = PAGE) -> None:
+    """The table; what was asked for, by what, where and when; and the page that shows both, and the folder's pictures.
+
+    first : the file to open first
+    """
+    from slefejax.experiments.page.writing import write_page  # not before there is something to write
+
+    write_tables(folder, "table", rows)
     content = {
         "experiment": experiment,
         "open_first": first,
+        "command": _COMMAND.get(),
         "arguments": arguments,
         "time": datetime.now().astimezone().isoformat(timespec="seconds"),
         "versions": versions(),
@@ -171,7 +179,31 @@ def write_record(folder: Path, experiment: str, arguments: Row, first: str, more
         "machine": machine(),
         **more,
     }
+    write_page(folder, PAGE, content, rows, TABLE)
     (folder / RECORD).write_text(json.dumps(strict(content), indent=2, default=str, allow_nan=False) + "\n")
+
+
+_COMMAND: ContextVar[str | None] = ContextVar("command", default=None)
+
+
+@contextmanager
+def typed(words: Sequence[str]) -> Iterator[None]:
+    """Within, runs are those of a command that was typed: their records say what to type for the same again."""
+    outer = _COMMAND.set(shlex.join(["slefejax", *_without_folder(words)]))
+    try:
+        yield
+    finally:
+        _COMMAND.reset(outer)
+
+
+def _without_folder(words: Sequence[str]) -> Iterator[str]:
+    """Without ``--out FOLDER``: nothing is overwritten, and the same again needs another one."""
+    rest = iter(words)
+    for word in rest:
+        if word == "--out":
+            next(rest, None)
+        elif not word.startswith("--out="):
+            yield word
 
 
 def open_first(folder: Path) -> Path:

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from slefejax.figures.colours import COLOURS, MARKS, METHOD_STYLES
 from slefejax.figures.fitting import finish, room_of, width_of, wrapped
 from slefejax.figures.page import Page
 
@@ -48,27 +49,10 @@ SIZE_CLASSES = (
 CHECKER = ("#f2efe9", "#3f5f7f")
 UNTEXTURED = "#b0b0b0"  # faces without texture coordinates
 
-# For the colour-blind [OI]; with the marks they tell series apart, and patterns tell bars apart where colours repeat
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
-YELLOW = "#f0e442"  # an eighth one, for areas
-MARKS = ("o", "s", "^", "D", "v", "P", "*", "X", "<", ">", "h", "p", "d", "8")
+# Areas: an eighth colour, and patterns that tell bars apart where colours repeat
+YELLOW = "#f0e442"
 HATCHES = ("", "//", "\\\\", "..", "xx", "--", "++", "oo")
 
-# One colour and one mark a method, the same in every figure
-METHOD_STYLES: dict[str, dict[str, Any]] = {
-    "certified": {"color": "#009e73", "marker": "*"},
-    "slefe": {"color": "#d55e00", "marker": "o"},
-    "filip": {"color": "#0072b2", "marker": "s"},
-    "convex-hull": {"color": "#009e73", "marker": "^"},
-    "oriented-box": {"color": "#56b4e9", "marker": "D"},
-    "min-max": {"color": "#cc79a7", "marker": "v"},
-    "control-polygon": {"color": "#000000", "marker": "P"},
-    "disc": {"color": "#e69f00", "marker": "X"},
-    "edge-length": {"color": "#e69f00", "marker": "X"},
-    "screen-box": {"color": "#cc79a7", "marker": "v"},
-    "fixed": {"color": "#000000", "marker": "P"},
-    "minmax": {"color": "#cc79a7", "marker": "v"},
-}
 OTHER_METHOD: dict[str, Any] = {"color": QUIET, "marker": "o"}
 
 SMALL, TITLE, LARGE = 11, 14, 22

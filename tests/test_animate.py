@@ -25,7 +25,7 @@ from slefejax.experiments.studies.modes import MODES
 from slefejax.figures.looks.film import read_strip
 from slefejax.figures.style import ERROR_CLASSES, LINES
 from slefejax.gpu.renderer import GBuffer
-from tests.tables import TABLES
+from tests.tables import SHOWN
 from tests.test_cli import run_json
 
 SMALL = ["--size", "240x150", "--frames", "3", "--seconds", "0.05"]
@@ -59,7 +59,7 @@ def test_animate(device, capsys, walker):
     assert looking["skinning_ms"] == looking["boxes_ms"] == 0.0 < looking["view_ms"]
     assert static["skinning_ms"] == static["boxes_ms"] == static["view_ms"] == 0.0
     assert min(moving[name] for name in ("skinning_ms", "boxes_ms", "view_ms", "render_ms")) > 0
-    names = TABLES | {"run.json", "modes.csv", "timeline.png", "time_of_a_frame.png", "animation.gif"}
+    names = SHOWN | {"modes.csv", "timeline.png", "time_of_a_frame.png", "animation.gif"}
     assert set(os.listdir(result["out"])) == names | {
         f"{name}_{k:04d}.png" for name in ("frame", "looks") for k in range(3)
     }

@@ -14,7 +14,7 @@ import pytest
 from slefejax.experiments.cli import main
 from slefejax.experiments.studies import minimality
 from slefejax.figures.error_image import error_colours, read_error_image
-from tests.tables import TABLES
+from tests.tables import SHOWN
 
 SMALL = ["--size", "180x120"]
 COLUMNS = {
@@ -68,8 +68,7 @@ def test_folder_of_a_run(device, capsys):
     out = result["out"]
     assert out.startswith("runs/minimality/")
     assert result["scene"] == "teapot"
-    names = TABLES | {
-        "run.json",
+    names = SHOWN | {
         "minimality.png",
         "factors.png",
         "enough.png",
@@ -92,7 +91,8 @@ def test_terminal_shows_the_table(device, capsys):
     assert main(["minimality", "teapot", *SMALL, "--scales", "1"]) == 0
     shown = capsys.readouterr()
     assert "> 0.5 px" in shown.out
-    last = shown.out.splitlines()[-1]
+    *_, before, last = shown.out.splitlines()
+    assert before == "report.html has the table, charts and all pictures, for a browser"
     assert re.fullmatch("Results are in runs/minimality/.*: open minimality.png first", last)
 
 
@@ -186,7 +186,7 @@ def test_results_go_into_an_empty_folder_that_is_there(device, capsys, tmp_path,
     (tmp_path / "e").mkdir()
     (tmp_path / "link").symlink_to("e")
     run_json(capsys, "factors", "teapot", "--out", "link")
-    assert set(os.listdir("e")) == TABLES | {"run.json"}
+    assert set(os.listdir("e")) == SHOWN
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     run_json(capsys, "minimality", "teapot", *SMALL, "--scales", "0.5", "0.50000001", "--out", ".")

@@ -128,7 +128,7 @@ def test_a_folder_for_all_values(capsys):
     write("a")
     write("b", but(1, triangles=7))
     assert main(["compare", "a", "b", "--out", "c"]) == 1
-    assert capsys.readouterr().out.endswith("c: open table.csv first\n")
+    assert capsys.readouterr().out.endswith("c: open report.html first\n")
     with open("c/table.csv", newline="") as file:
         table = list(csv.DictReader(file))
     assert len(table) == 12

@@ -306,7 +306,7 @@ def test_formats_and_names_of_figures(tmp_path, capsys):
     assert json.loads((out / "run.json").read_text())["open_first"] == "most.svg"
     assert f"slefejax {slefejax.__version__}: tightness --curves 3<" in (out / "more.svg").read_text()
     with Run("some", {}, tmp_path / "other") as run:
-        assert open_first(run.finish([{"x": 1}], {})).name == "table.csv"
+        assert open_first(run.finish([{"x": 1}], {})).name == "report.html"
     with pytest.raises(SystemExit):
         parsed(["tightness", "--format", "jpg"])
     said = capsys.readouterr().err

@@ -10,7 +10,7 @@ import pytest
 
 from slefejax import load
 from slefejax.experiments.cli import main
-from tests.tables import TABLES
+from tests.tables import SHOWN
 from tests.test_cli import run_json
 
 FAST = ["--method", "slefe", "--segments", "1"]
@@ -55,7 +55,7 @@ def test_budget(capsys, by):
         assert row["budget"] == wanted
         assert 0.99 <= row["share_of_budget"] <= 1.0
         assert row["met"] == "within 1 %"
-    assert set(os.listdir(result["out"])) == TABLES | {"budget.png", "run.json"}
+    assert set(os.listdir(result["out"])) == SHOWN | {"budget.png"}
 
 
 @pytest.mark.slow
@@ -87,7 +87,7 @@ def test_optimise(capsys):
     teapot = load("teapot").patches()
     assert np.array_equal(moved[:, [0, -1]], teapot[:, [0, -1]])
     assert surface["control_points_moved_by"] == pytest.approx(np.linalg.norm(moved - teapot, axis=-1).max())
-    names = TABLES | {"optimise.png", "optimised.bpt", "patches.csv", "run.json"}
+    names = SHOWN | {"optimise.png", "optimised.bpt", "patches.csv"}
     assert set(os.listdir(result["out"])) == names
 
 

@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 from slefejax.experiments.architecture import BESIDE, LADDER, arrows, direct, files_of, imported_parts
+from slefejax.experiments.page.charts import LIBRARY
 from slefejax.figures.architecture import described
 from slefejax.late import APP
 
@@ -105,7 +106,7 @@ def test_upper_floors(part, allowed):
 def test_import_loads_no_graphics_and_starts_no_backend():
     code = (
         "import sys, slefejax; import jax._src.xla_bridge as bridge;"
-        "bad = [m for m in ('moderngl', 'matplotlib', 'tyro', 'rich') if m in sys.modules];"
+        "bad = [m for m in ('moderngl', 'matplotlib', 'tyro', 'rich', 'slefejax.experiments') if m in sys.modules];"
         "assert not bad, bad; assert not bridge._backends, bridge._backends;"
         "import jax; assert not jax.config.jax_enable_x64"
     )
@@ -132,7 +133,7 @@ def packages_imported(path: Path) -> set[str]:
 
 def test_what_only_pictures_and_the_command_line_need_is_an_extra():
     base, app = module_names(PROJECT["dependencies"]), module_names(EXTRAS["app"])
-    assert app == set(APP)
+    assert app == {*APP, LIBRARY}, "pages of runs do without the one, and say so"
     computing = [path for name, path in modules().items() if name != "slefejax.measure.covering"] + files_of("gpu")
     found = set().union(*map(packages_imported, computing))
     assert found == base | module_names(EXTRAS["usd"] + EXTRAS["rhino"])

@@ -12,7 +12,7 @@ from slefejax import NoOpenGLError
 from slefejax.experiments.cli import main
 from slefejax.gpu import renderer
 from tests.mixed import as_bv, cube_sphere
-from tests.tables import TABLES
+from tests.tables import SHOWN
 from tests.test_cli import SMALL, in_an_empty_folder, run_json  # noqa: F401
 from tests.test_io import OBJ, write
 from tests.test_scene import CUBE
@@ -51,7 +51,7 @@ def test_inspect_counts_and_draws(device, capsys, tmp_path):
     assert "1 vertices belong to no face (the first is 8" in said
     assert "1 creases of sharpness up to 3 are drawn infinitely sharp" in said
     assert "not needed: triangle stencils" in said
-    assert set(os.listdir(result["out"])) == TABLES | {"inspect.png", "run.json"}
+    assert set(os.listdir(result["out"])) == SHOWN | {"inspect.png"}
     picture = imread(f"{result['out']}/inspect.png")
     assert len(np.unique(picture.reshape(-1, picture.shape[2]), axis=0)) > 50
 
@@ -60,7 +60,7 @@ def test_inspect_counts_and_draws(device, capsys, tmp_path):
 def test_inspect_draws_reflections(device, capsys, tmp_path):
     write(tmp_path, "box.obj", CUBE)
     result = run_json(capsys, "inspect", "box.obj", *SMALL, "--reflections")
-    assert set(os.listdir(result["out"])) == TABLES | {"inspect.png", "reflections.png", "run.json"}
+    assert set(os.listdir(result["out"])) == SHOWN | {"inspect.png", "reflections.png"}
     shown = imread(f"{result['out']}/reflections.png")[..., :3]
     width = shown.shape[1] // 2
     above_caption = slice(-width // 2, -40)
@@ -109,7 +109,7 @@ def test_inspect_says_why_a_mesh_makes_no_scene(capsys, tmp_path):
     assert result["rows"][0]["defects"] == "face 2 names vertex 0 twice"
     assert "this makes no scene: bad.obj: face 2 names vertex 0 twice" in result["notes"][-1]
     assert "patches" not in result["rows"][0]
-    assert set(os.listdir(result["out"])) == TABLES | {"run.json"}
+    assert set(os.listdir(result["out"])) == SHOWN
 
 
 def test_inspect_without_opengl(capsys, tmp_path, monkeypatch):

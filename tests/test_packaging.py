@@ -47,7 +47,8 @@ def site(wheel, tmp_path_factory) -> Path:
 def test_only_slefejax_is_at_the_top(wheel):
     names = zipfile.ZipFile(wheel).namelist()
     assert {name.split("/")[0].split("-")[0] for name in names} == {"slefejax"}
-    assert {"slefejax/py.typed", "slefejax/gpu/shaders/patch.tese"} <= set(names)
+    parts = {"slefejax/experiments/page/parts/page.html", "slefejax/experiments/page/parts/charts.js"}
+    assert {"slefejax/py.typed", "slefejax/gpu/shaders/patch.tese", *parts} <= set(names)
     assert not [name for name in names if name.startswith("tests") or "/test_" in name or "conftest" in name]
 
 

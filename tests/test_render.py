@@ -26,7 +26,7 @@ from slefejax.figures.looks.panels import Heading
 from slefejax.figures.looks.pictures import wired, write_errors, write_values
 from slefejax.figures.page import Page
 from slefejax.gpu import GBuffer, Renderer
-from tests.tables import TABLES
+from tests.tables import SHOWN, TABLES
 from tests.test_cli import SMALL, in_an_empty_folder, run_json  # noqa: F401
 from tests.test_exr import read_exr
 from tests.test_gpu import lattice
@@ -47,9 +47,9 @@ def test_looks_and_their_numbers(device, capsys, teapot, looks):
     result = run_json(capsys, "render", "teapot", *QUICK, "--format", "exr", "--look", *looks)
     out, rows = result["out"], {row["look"]: row for row in result["rows"]}
     numbers = [name for name in looks if name not in PICTURES]
-    names = {f"{name}.png" for name in looks} | {f"{name}.exr" for name in numbers} | {"run.json"}
+    names = {f"{name}.png" for name in looks} | {f"{name}.exr" for name in numbers}
     sizes = {name.replace("table", "triangle_sizes") for name in TABLES}
-    assert set(os.listdir(out)) == names | TABLES | sizes
+    assert set(os.listdir(out)) == names | SHOWN | sizes
     assert open_first(Path(out)).name == f"{looks[0]}.png"
     assert list(rows) == list(looks)
     without = [name for name in looks if name in PICTURES]

@@ -10,7 +10,7 @@ from slefejax import InputError
 from slefejax.experiments.bench import scaling
 from slefejax.experiments.cli import main
 from slefejax.geometry.bezier import evaluate_patch
-from tests.tables import TABLES
+from tests.tables import SHOWN
 
 
 def made_up(rng, noise):
@@ -64,5 +64,5 @@ def test_run(device, capsys, tmp_path, monkeypatch):
     assert [row["term"] for row in result["rows"]] == ["frame", "patches", "triangles", "shaded_pixels"]
     assert len(result["measured"]) == 8
     assert {row["patches"] for row in result["measured"]} == {32, 128}
-    assert set(os.listdir(result["out"])) == TABLES | {"run.json", "scaling.png"}
+    assert set(os.listdir(result["out"])) == SHOWN | {"scaling.png"}
     assert main(["scaling", "teapot", "--repeats", "0"]) == 2

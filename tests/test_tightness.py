@@ -8,7 +8,7 @@ import pytest
 
 from slefejax.experiments.checks.tightness import curve_kinds, step_curve, tensor_order
 from slefejax.experiments.cli import main
-from tests.tables import TABLES
+from tests.tables import SHOWN
 
 
 @pytest.fixture(autouse=True)
@@ -21,7 +21,7 @@ def test_run(capsys):
     result = json.loads(capsys.readouterr().out)
     rows = result["rows"]
     pictures = {"slefe_construction.png", "six_bounds.png", "width_against_pieces.png", "width_against_time.png"}
-    assert set(os.listdir(result["out"])) == pictures | TABLES | {"run.json"}
+    assert set(os.listdir(result["out"])) == pictures | SHOWN
     assert {row["method"] for row in rows if row["segments"] == 3} == {
         *("min-max", "oriented-box", "convex-hull", "disc", "filip", "control-polygon", "slefe")
     }

@@ -20,10 +20,10 @@ from slefejax.experiments.grid.plan import Case, Study
 from slefejax.experiments.grid.sights import Sights
 from slefejax.experiments.options import camera_record
 from slefejax.experiments.report import progress
-from slefejax.experiments.store import commit, digest, versions, write_record
-from slefejax.experiments.tables import Row, Rows, locked, write_tables
+from slefejax.experiments.store import commit, digest, versions, write_results
+from slefejax.experiments.tables import Row, Rows, locked
 
-_ROWS, _LOCK, _TABLE = "rows.jsonl", "lock", "table"
+_ROWS, _LOCK = "rows.jsonl", "lock"
 REFUSED = "refused"
 
 
@@ -54,10 +54,9 @@ class Running:
                     show(done)
             self.sights.release()
             found = self.table()
-            write_tables(self.folder, _TABLE, found)
             asked = {**asdict(self.study), "rules": None, "folder": None}
             more = {"scene": list(self.study.scenes), "notes": self.notes, "case_columns": self.case_columns}
-            write_record(self.folder, "study", asked, f"{_TABLE}.csv", more)
+            write_results(self.folder, "study", asked, found, more)
         return found
 
     def table(self) -> list[Row]:

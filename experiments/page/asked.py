@@ -1,0 +1,89 @@
+"""What was asked, by what, where and when, as HTML: everything that a run was given is text there, whatever it is."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from slefejax.experiments.tables import Row
+
+_ABOVE = ("experiment", "open_first", "arguments", "versions", "machine", "notes", "command", "scene")
+_MOST_FILES = 200  # that are listed
+
+
+def title_of(record: Row) -> str:
+    """The command and its scenes."""
+    scene = record.get("scene")
+    scenes = scene if isinstance(scene, (list, tuple)) else [scene] if scene else []
+    return f"{record['experiment']}: {', '.join(map(str, scenes))}" if scenes else str(record["experiment"])
+
+
+def notes_html(notes: Sequence[str]) -> str:
+    """A list; empty without notes."""
+    items = "".join(f"<li>{escape(str(note))}</li>" for note in notes)
+    return f'<ul class="notes">{items}</ul>' if items else ""
+
+
+def command_html(record: Row) -> str:
+    """What to type for the same run again."""
+    if not record.get("command"):
+        return "<p>Called from Python, with the arguments below.</p>"
+    return f'<p>Again: <code class="command">{escape(record["command"])}</code></p>'
+
+
+def arguments_html(record: Row) -> str:
+    """Everything that was asked for, groups of options after one another; names alone of what was not given."""
+    every = [*_flat(record.get("arguments") or {})]
+    absent = ", ".join(name for name, value in every if value is None)
+    return _pairs((name, value) for name, value in every if value is not None) + (
+        f'<p class="quiet">Not given: {escape(absent)}</p>' if absent else ""
+    )
+
+
+def made_html(record: Row) -> str:
+    """When, on which machine, with which versions, and whatever else the record has."""
+    rest = {key: value for key, value in record.items() if key not in _ABOVE}
+    return _pairs([*_flat(rest), *_flat({"machine": record["machine"], "versions": record["versions"]})])
+
+
+def files_html(files: Sequence[Path]) -> str:
+    """Links to the files beside the page."""
+    links = [(quote(b"./" + os.fsencode(path.name)), escape(path.name)) for path in files[:_MOST_FILES]]
+    shown = "".join(f'<li><a href="{place}">{name}</a></li>' for place, name in links)
+    more = len(files) - _MOST_FILES
+    return f'<ul class="files">{shown}</ul>' + (f"<p>and {more:,} more</p>" if more > 0 else "")
+
+
+def _flat(content: Row, before: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in content.items():
+        name = f"{before}{key}"
+        if isinstance(value, dict):
+            yield from _flat(value, f"{name}.")
+        else:
+            yield name, value
+
+
+def _said(value: Any) -> str:
+    if value is None:
+        return "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, (list, tuple)) and all(isinstance(own, (str, int, float)) for own in value):
+        return ", ".join(map(str, value)) or "none"
+    return value if isinstance(value, str) else json.dumps(value, default=str, ensure_ascii=False)
+
+
+def _pairs(pairs: Iterable[tuple[str, Any]]) -> str:
+    rows = "".join(f"<div><dt>{_broken(name)}</dt><dd>{escape(_said(value))}</dd></div>" for name, value in pairs)
+    return f"<dl>{rows}</dl>"
+
+
+def _broken(name: str) -> str:
+    """With places where a line may end."""
+    return re.sub(r"([._])", r"\1<wbr>", escape(name))
