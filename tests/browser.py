@@ -13,9 +13,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-CHROMIUM = next(
-    (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None
-)
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 _FLAGS = (
     *("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-extensions", "--mute-audio"),
     *("--disable-background-networking", "--disable-component-update", "--hide-scrollbars", "--remote-debugging-pipe"),
@@ -31,10 +29,11 @@ class Browser:
         self._folder = tempfile.mkdtemp()
         commands, self._to = os.pipe()
         self._from, answers = os.pipe()
-        line = f'exec 8<&{commands} 9>&{answers}; exec "$0" "$@" 3<&8 4>&9 8<&- 9>&-'  # where Chromium looks for them
+        # Chromium looks for its pipe at 3 and 4, which may be something else here
+        line = f'exec {{own}}<&{commands} {{told}}>&{answers}; exec "$0" "$@" 3<&$own 4>&$told'
         words = ["bash", "-c", line, CHROMIUM, *_FLAGS, f"--user-data-dir={self._folder}", "about:blank"]
-        quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        self._process = subprocess.Popen(words, pass_fds=(commands, answers), **quiet)
+        none = subprocess.DEVNULL
+        self._process = subprocess.Popen(words, pass_fds=(commands, answers), stdin=none, stdout=none, stderr=none)
         os.close(commands)
         os.close(answers)
         self._kept, self._number, self._session = b"", 0, None
@@ -97,9 +96,7 @@ class Browser:
         self.wrong.clear()
         self.asked.clear()
         self.call("Page.navigate", url=path.resolve().as_uri())
-        self.until(
-            "document.readyState === 'complete' && document.querySelector('#table .content')?.children.length > 0"
-        )
+        self.until("document.readyState === 'complete' && document.querySelector('#table .content > *')")
         self.settle()
 
     def resize(self, width: int, height: int) -> None:
@@ -124,9 +121,7 @@ class Browser:
     def settle(self) -> None:
         """Until every chart is drawn, and nothing waits to be."""
         self.until("typeof charts === 'undefined' || charts.every((own) => own.drawn)")
-        self.value(
-            "new Promise((done) => setTimeout(() => requestAnimationFrame(() => requestAnimationFrame(done)), 50))"
-        )
+        self.value("new Promise((done) => setTimeout(() => requestAnimationFrame(done), 50))")
 
     def press(self, key: str, times: int = 1) -> None:
         """A key, where the focus is."""

@@ -17,7 +17,7 @@ MOST_SERIES, MOST_PANELS = 24, 6
 _WIDE = 30.0  # the largest over the least, from which on an axis is logarithmic
 _ACROSS = ("scale", "tolerance_px", "tolerance_deg", "tolerance_depth", "frame", "count", "budget", "level")
 _UP = (
-    *("max_error_px", "drawn_sup_error_px", "sup_error_px", "max_normal_error_deg", "limit_max_px", "ratio"),
+    *("max_error_px", "drawn_sup_error_px", "sup_error_px", "max_normal_error_deg", "limit_max_px", "worst_ratio"),
     *("width_over_optimum_median", "share_above_0.5", "us_per_curve", "fused_ms", "median_ms"),
 )
 _BESIDE = ("triangles", "triangles_over_minimal", "render_ms", "predict_ms", "sum_of_factors")
@@ -67,16 +67,21 @@ def chosen(columns: Sequence[Column], cases: Sequence[Column]) -> list[dict[str,
     numbers = [own for own in columns if own.kind == NUMBER and len(set(own.finite.tolist())) > 1]
     if not numbers:
         return []
-    across = _first(_ACROSS, [own for own in numbers if own in cases] or numbers[:1])
+    texts = [own for own in columns if own.kind != NUMBER and 1 < own.different <= MOST_SERIES]
+    across = _first(_ACROSS, [own for own in numbers if own in cases] or _most(texts) or numbers[:1])
     measured = [own for own in numbers if own is not across and own not in cases] or numbers
     up = _first(_UP, measured)
     beside = _first(_BESIDE, [own for own in measured if own is not up])
-    texts = [own for own in columns if own.kind != NUMBER and own.different > 1]
-    apart = [own for own in (*texts, *(own for own in cases if own is not across)) if 1 < own.different <= MOST_SERIES]
+    apart = [own for own in (*texts, *cases) if own is not across and 1 < own.different <= MOST_SERIES]
     series = _first(_APART, apart)
     panels = [own for own in apart if own is not series and own in cases and own.different <= MOST_PANELS]
     panel = _first(("scene", "view"), panels)
     return [_chart(across, own, series, panel) for own in (up, beside) if own is not None]
+
+
+def _most(columns: Sequence[Column]) -> list[Column]:
+    """The one that has the most values, the first of several; none of none."""
+    return sorted(columns, key=lambda own: -own.different)[:1]
 
 
 def _first(names: Sequence[str], columns: Sequence[Column]) -> Column | None:
@@ -87,7 +92,7 @@ def _first(names: Sequence[str], columns: Sequence[Column]) -> Column | None:
 
 def _chart(across: Column | None, up: Column, series: Column | None, panel: Column | None) -> dict[str, Any]:
     names = {"x": across, "y": up, "series": series, "panel": panel}
-    logarithmic = {"logX": across is not None and _is_wide(across), "logY": _is_wide(up)}
+    logarithmic = {"logX": across is not None and across.kind == NUMBER and _is_wide(across), "logY": _is_wide(up)}
     return {key: own.name if own else None for key, own in names.items()} | logarithmic
 
 

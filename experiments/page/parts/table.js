@@ -98,8 +98,9 @@ class Table {
       const order = sorted ? (this.sort.sign > 0 ? "ascending" : "descending") : "none";
       const arrow = sorted ? (this.sort.sign > 0 ? " ▲" : " ▼") : " ↕";
       const button = element("button", { type: "button", onclick: () => this.sortBy(column) });
-      column.name.split("_").forEach((word, number) => button.append(...(number ? ["_", element("wbr"), word] : [word])));
-      button.append(element("span", { "aria-hidden": "true", class: "arrow" }, arrow));
+      const words = column.name.split("_");
+      const last = element("span", { class: "whole" }, words.pop(), element("span", { "aria-hidden": "true", class: "arrow" }, arrow));
+      button.append(...words.flatMap((word) => [`${word}_`, element("wbr")]), last);
       return element("th", { scope: "col", "aria-sort": order, class: isNumber(column) ? "number" : "text" }, button);
     });
     this.head.replaceChildren(element("tr", {}, ...cells));
