@@ -44,6 +44,7 @@ class Browser:
         self._session = attached["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
+        self.until("document.readyState === 'complete'")  # the empty page: what is asked before it is there gets lost
 
     def __enter__(self) -> Browser:
         return self
@@ -95,7 +96,7 @@ class Browser:
         self.resize(width, height)
         self.wrong.clear()
         self.asked.clear()
-        self.call("Page.navigate", url=path.resolve().as_uri())
+        assert not self.call("Page.navigate", url=path.resolve().as_uri()).get("errorText")
         self.until("document.readyState === 'complete' && document.querySelector('#table .content > *')")
         self.settle()
 

@@ -413,7 +413,7 @@ def test_a_browser_runs_nothing_that_is_text(browser, tmp_path, text):
     assert browser.value("document.documentElement.scrollWidth") == 360
     assert browser.value("document.querySelector('h1').textContent") == f"minimality: {text}"
     assert shown_column(browser, 1)[0] == text
-    assert "1 rows have no place here" in browser.value("document.querySelector('.chart p').textContent")
+    assert "1 row has no place here" in browser.value("document.querySelector('.chart p').textContent")
 
 
 @pytest.mark.slow

@@ -15,14 +15,17 @@ from slefejax.experiments.tables import Row
 
 _ABOVE = ("experiment", "open_first", "arguments", "versions", "machine", "notes", "command", "scene")
 _MOST_FILES, _MOST_ROWS, _MOST_LETTERS = 200, 200, 2000  # that are shown: of files, of a record's tables and values
+_MOST_SCENES = 5  # that the title names
 _FEW_FILES = 20  # that are seen without asking for them
 
 
 def title_of(record: Row) -> str:
     """The command and its scenes."""
     scene = record.get("scene")
-    scenes = scene if isinstance(scene, (list, tuple)) else [scene] if scene else []
-    return f"{record['experiment']}: {', '.join(map(str, scenes))}" if scenes else str(record["experiment"])
+    scenes = list(map(str, scene if isinstance(scene, (list, tuple)) else [scene] if scene else []))
+    if len(scenes) > _MOST_SCENES:
+        scenes = [*scenes[: _MOST_SCENES - 1], f"{len(scenes) - _MOST_SCENES + 1} more"]
+    return f"{record['experiment']}: {', '.join(scenes)}" if scenes else str(record["experiment"])
 
 
 def notes_html(notes: Sequence[str]) -> str:

@@ -130,7 +130,8 @@ class Chart {
     const said = [];
     if (!points.length) said.push("Nothing to draw.");
     if (step > 1) said.push(`Of ${count(all)} points every ${step}th is drawn.`);
-    if (lost) said.push(`${count(lost)} rows have no place here: a number is missing or not finite, or not positive on a logarithmic axis.`);
+    const rowsHave = lost === 1 ? "row has" : "rows have";
+    if (lost) said.push(`${count(lost)} ${rowsHave} no place here: a number is missing or not finite, or not positive on a logarithmic axis.`);
     this.said.textContent = said.join(" ");
     for (const [drawn, figure] of views) {
       const view = await Bokeh.Plotting.show(figure, drawn);
@@ -202,6 +203,7 @@ class Chart {
     figure.toolbar.logo = null;
     figure.toolbar.active_scroll = null;
     for (const axis of [...figure.xaxes, ...figure.yaxes]) {
+      if (axis.formatter instanceof Bokeh.BasicTickFormatter) axis.formatter.power_limit_high = 8;
       axis.axis_label_text_font_style = "normal";
       axis.axis_label_text_font_size = "14px";
       axis.major_label_text_font_size = "13px";
@@ -209,7 +211,7 @@ class Chart {
     if (named) for (const axis of figure.xaxes) axis.major_label_orientation = 0.7;
     for (const [value, look] of series.looks) {
       const own = points.filter(({ row }) => series.of(row) === value);
-      if (own.length) this.drawSeries(figure, own, look, named);
+      if (own.length) this.drawSeries(figure, own, every.length, look, named);
     }
     figure.add_tools(new Bokeh.HoverTool({ tooltips: this.tips(), mode: "mouse", renderers: figure.renderers.filter((own) => own.name === "points") }));
     return figure;
@@ -227,7 +229,8 @@ class Chart {
     return names;
   }
 
-  drawSeries(figure, points, look, named) {
+  /** every: how many points there are in all panels; marks are the smaller the more there are. */
+  drawSeries(figure, points, every, look, named) {
     const ordered = this.joined ? [...points].sort((one, other) => one.x - other.x) : points;
     const cells = (name) => {
       const column = this.column(name);
@@ -240,14 +243,15 @@ class Chart {
     const at = [{ field: "x" }, { field: "y" }];
     if (this.joined && ordered.length > 1) figure.line(...at, { source, line_color: look.colour, line_width: 1.5, line_alpha: 0.7 });
     const bare = look.shape[0] === "x";
+    const size = every > 2000 ? 5 : every > 500 ? 7 : 10;
     figure.scatter(...at, {
       source,
       marker: look.shape[0],
-      size: look.shape[0] === "star" ? 14 : points.length > 500 ? 6 : 10,
+      size: look.shape[0] === "star" ? 1.4 * size : size,
       fill_color: look.colour,
-      fill_alpha: points.length > 500 ? 0.6 : 0.9,
+      fill_alpha: every > 500 ? 0.6 : 0.9,
       line_color: bare ? look.colour : INK,
-      line_width: bare ? 3 : 0.7,
+      line_width: bare ? size / 3.3 : size / 14,
       name: "points",
     });
   }
