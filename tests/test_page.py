@@ -23,6 +23,7 @@ from slefejax.experiments.page import charts, columns, pictures
 from slefejax.experiments.page.writing import write_page
 from slefejax.experiments.store import Run, typed
 from tests.browser import CHROMIUM, Browser
+from tests.tables import TABLES
 
 HOSTILE = (
     "<img src=x onerror=alert(1)>",
@@ -275,6 +276,8 @@ def test_every_run_has_its_page(tmp_path):
     assert json.loads((out / "run.json").read_text())["command"] == "slefejax sweep 'my scene' --k 1"
     assert {path.name for path in out.iterdir()} >= {"report.html", "run.json", "table.csv"}
     assert not [path for path in out.iterdir() if path.name.startswith(".")]
+    links = {own["href"] for tag, own in page.tags if tag == "a" and (own["href"] or "").startswith("./")}
+    assert links == {f"./{name}" for name in TABLES}, "what is there when the run is finished"
 
 
 def test_a_study_has_its_page(tmp_path):
@@ -423,6 +426,23 @@ def test_a_browser_shows_small_tables(browser, tmp_path, rows):
     browser.open(tmp_path / "report.html")
     assert browser.wrong == []
     assert browser.value("document.querySelectorAll('tbody tr').length") == len(rows)
+
+
+@pytest.mark.slow
+def test_what_is_no_number_has_its_place(browser, tmp_path):
+    values = [math.nan, 7, math.inf, None, 2**53 + 1, 0.5, -math.inf, 1234]
+    written(tmp_path, [{"case": k, "x": value} for k, value in enumerate(values)])
+    browser.open(tmp_path / "report.html")
+    upwards = ["−∞", "0.5", "7", "1,234", "9007199254740993", "∞"]
+    for order in (upwards, upwards[::-1]):
+        focus(browser, "#table th:nth-child(2) button")
+        browser.press("Enter")
+        assert shown_column(browser, 2) == [*order, "nan", ""], "what is missing is last"
+    assert browser.value("document.querySelector('.chart p').textContent").startswith("4 rows have no place here")
+    focus(browser, "#table input[type=search]")
+    browser.type("1,23")
+    browser.until("document.querySelectorAll('#table tbody tr').length === 1")
+    assert shown_column(browser, 2) == ["1,234"], "it is found as it is shown"
 
 
 @pytest.mark.slow

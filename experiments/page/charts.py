@@ -20,7 +20,15 @@ _UP = (
     *("max_error_px", "drawn_sup_error_px", "sup_error_px", "max_normal_error_deg", "limit_max_px", "worst_ratio"),
     *("width_over_optimum_median", "share_above_0.5", "us_per_curve", "fused_ms", "median_ms"),
 )
-_BESIDE = ("triangles", "triangles_over_minimal", "render_ms", "predict_ms", "sum_of_factors")
+_BESIDE = (
+    "triangles",
+    "us_per_curve",
+    "triangles_over_minimal",
+    "render_ms",
+    "predict_ms",
+    "sum_of_factors",
+    "peer_ms",
+)
 _APART = ("method", "bound", "rule", "stage", "family", "scheme", "scene", "case")
 
 # Of Matplotlib's marks those that the library has too: its name, and a letter that looks like it
@@ -71,7 +79,7 @@ def chosen(columns: Sequence[Column], cases: Sequence[Column]) -> list[dict[str,
     across = _first(_ACROSS, [own for own in numbers if own in cases] or _most(texts) or numbers[:1])
     measured = [own for own in numbers if own is not across and own not in cases] or numbers
     up = _first(_UP, measured)
-    beside = _first(_BESIDE, [own for own in measured if own is not up])
+    beside = _first(_BESIDE, [own for own in measured if own is not up and own.name in _BESIDE])
     apart = [own for own in (*texts, *cases) if own is not across and 1 < own.different <= MOST_SERIES]
     series = _first(_APART, apart)
     panels = [own for own in apart if own is not series and own in cases and own.different <= MOST_PANELS]

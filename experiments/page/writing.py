@@ -27,6 +27,7 @@ from slefejax.experiments.tables import Row
 
 _PARTS = Path(__file__).resolve().parent / "parts"
 _SCRIPTS = ("cells.js", "table.js", "charts.js", "pictures.js", "start.js")
+_OWN = ("lock", "rows.jsonl")  # of a run under way
 _WITHOUT = f"There are no charts: the package that draws them is missing (pip install {LIBRARY}, or 'slefejax[app]')"
 
 
@@ -66,7 +67,7 @@ def write_page(folder: Path, name: str, record: Row, rows: Sequence[Row], table:
 
 
 def _is_shown(path: Path) -> bool:
-    return not path.name.startswith(".") and path.name != "lock" and path.is_file()
+    return not path.name.startswith(".") and path.name not in _OWN and path.is_file()
 
 
 def _content(columns: Sequence[Column], rows: int, record: Row, pictures: Pictures, draws: bool) -> dict[str, Any]:

@@ -117,12 +117,13 @@ class Table {
   }
 
   filter() {
+    const number = this.find.replaceAll(",", ""); // as it is shown, in groups of three
     const passes = (row) => {
       for (const [column, value] of this.wanted) if (column.cells[row] !== value) return false;
       if (!this.find) return true;
       return this.columns.some((own) => {
         const cell = own.cells[row];
-        return cell !== null && (String(cell).toLowerCase().includes(this.find) || shown(own, cell).toLowerCase().includes(this.find));
+        return cell !== null && String(cell).toLowerCase().includes(isNumber(own) ? number : this.find);
       });
     };
     this.rows = Array.from({ length: this.count }, (_, row) => row).filter(passes);
