@@ -54,8 +54,8 @@ def _run(arguments: list[str] | None) -> int:
     return _show(report)
 
 
-def start_jax(keep: bool) -> None:
-    """float64, a device to compute on, and a folder for compiled programs, unless they are not to be kept.
+def start_jax(keep: bool, double: bool = True) -> None:
+    """Double precision, a device to compute on, and a folder for compiled programs, unless they are not to be kept.
 
     Raises InputError if the device that was asked for is not there.
     """
@@ -63,7 +63,7 @@ def start_jax(keep: bool) -> None:
 
     from slefejax.errors import InputError
 
-    jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_enable_x64", double)
     jax.config.update("jax_enable_compilation_cache", keep)
     if keep:
         slefejax.keep_programs()

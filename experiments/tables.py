@@ -92,12 +92,13 @@ class Rows:
         lines = self.path.read_text(errors="replace").splitlines()
         return [row for line in lines if (row := _whole(line)) is not None]
 
-    def add(self, row: Row) -> None:
-        """Keep a row at once, so that it survives whatever happens next."""
+    def add(self, *rows: Row) -> None:
+        """Keep rows at once, so that they survive whatever happens next."""
         with self.path.open("a+b") as file:
             # a run that was stopped, or whose disk was full, may have left half a line
             torn = file.seek(0, os.SEEK_END) and (file.seek(-1, os.SEEK_END), file.read(1))[1] != b"\n"
-            file.write(b"\n" * bool(torn) + json.dumps(row).encode() + b"\n")
+            lines = "".join(f"{json.dumps(row)}\n" for row in rows)
+            file.write(b"\n" * bool(torn) + lines.encode())
             file.flush()
             os.fsync(file.fileno())
 

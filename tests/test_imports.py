@@ -139,7 +139,7 @@ def test_what_only_pictures_and_the_command_line_need_is_an_extra():
     assert found == base | module_names(EXTRAS["usd"] + EXTRAS["rhino"])
     assert packages_imported(ROOT / "slefejax" / "measure" / "covering.py") - base == {"skimage"}
     shown = set().union(*map(packages_imported, files_of("experiments") + files_of("figures")))
-    assert shown <= base | app | module_names(EXTRAS["parquet"])
+    assert shown <= base | app | module_names(EXTRAS["parquet"] + EXTRAS["cluster"]) | {"dask"}
 
 
 def test_the_extra_of_all_brings_the_others():

@@ -9,6 +9,8 @@ from typing import Annotated
 import numpy as np
 import tyro
 
+from slefejax.experiments.cli import BAD_INPUT
+from slefejax.experiments.grid.crew import Crew
 from slefejax.experiments.grid.plan import Study
 from slefejax.experiments.grid.running import Running
 from slefejax.experiments.options import OutputOptions
@@ -28,13 +30,17 @@ class StudyOfFile:
     trust_rules: bool = False
     """Run methods of one's own that the file names, such as my_module:MyMethod: code, found beside where the command is
     run."""
+    workers: int | None = None
+    """Measure in so many processes of this machine, each with one thread and an OpenGL context of its own."""
+    scheduler: str | None = None
+    """Measure on the workers of this scheduler of dask.distributed: tcp://HOST:8786 (docs/studies.md says how)."""
     output: tyro.conf.OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def run(self) -> Report:
         """Measure what is not there yet."""
         study = Study.load(self.study, trust_rules=self.trust_rules)
         folder = self.output.out or Path("runs/study") / Path(self.study).stem
-        running, name = Running(study, folder), Path(self.study).stem
+        running, name = Running(study, folder, Crew(self.workers, self.scheduler)), Path(self.study).stem
         scenes = list(study.scenes)
         if self.dry_run:
             rows = running.estimate()
@@ -43,7 +49,9 @@ class StudyOfFile:
         rows = running.rows()
         title = f"{name}: {len(rows):,} cases"
         shown = running.shown(rows)
-        return Report(scenes, running.folder, rows, title, running.notes, as_json=self.output.json, shown=shown)
+        status = BAD_INPUT if running.failed else 0
+        notes = running.notes
+        return Report(scenes, running.folder, rows, title, notes, as_json=self.output.json, shown=shown, status=status)
 
 
 def _sum(rows: list[Row], name: str) -> float:

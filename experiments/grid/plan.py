@@ -154,16 +154,23 @@ class Study:
         found |= {"scale": case.scale, "spacing": case.spacing}
         return {key: np.nan if value is None else value for key, value in found.items()}
 
-    def run(self, out: str | Path | None = None) -> list[Row]:
+    def run(
+        self, out: str | Path | None = None, *, workers: int | None = None, scheduler: str | None = None
+    ) -> list[Row]:
         """A row a case; rows are kept in a folder as they are found, and taken over from there.
 
-        out : the folder; without it runs/study
+        out       : the folder; without it runs/study
+        workers   : so many processes of this machine measure, a thread each; without them this one does
+        scheduler : the address of one of dask.distributed, ``"tcp://HOST:8786"``, whose workers measure
 
-        Raises InputError as ``Study`` does, and for scenes that are missing, before anything is measured.
+        Raises InputError as ``Study`` does, for scenes that are missing and for a scheduler that does not answer,
+        before anything is measured. Workers are started like those of ``multiprocessing``: a script that asks for
+        some does so below ``if __name__ == "__main__":``.
         """
+        from slefejax.experiments.grid.crew import Crew
         from slefejax.experiments.grid.running import Running
 
-        return Running(self, Path(out) if out else Path("runs/study")).rows()
+        return Running(self, Path(out) if out else Path("runs/study"), Crew(workers, scheduler)).rows()
 
     def _rules(self) -> Iterator[Rule]:
         for given in self.methods:

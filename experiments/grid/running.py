@@ -1,10 +1,9 @@
-"""A study's cases measured one after the other, and its folder: rows are taken over from there, and kept there."""
+"""A study's cases measured, and its folder: rows are taken over from there, and kept there."""
 
 from __future__ import annotations
 
 import json
 import os
-import time
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,17 +13,17 @@ from pathlib import Path
 
 import numpy as np
 
-from slefejax.errors import InputError, naming
+from slefejax.errors import InputError
+from slefejax.experiments.grid.crew import Crew
 from slefejax.experiments.grid.measured import ALWAYS, MEASURES, TELLING
 from slefejax.experiments.grid.plan import Case, Study
-from slefejax.experiments.grid.sights import Sights
-from slefejax.experiments.options import camera_record
+from slefejax.experiments.grid.scenes import Scenes
+from slefejax.experiments.grid.sights import FAILED, REFUSED, Asked
 from slefejax.experiments.report import progress
 from slefejax.experiments.store import commit, digest, versions, write_results
 from slefejax.experiments.tables import Row, Rows, locked
 
 _ROWS, _LOCK = "rows.jsonl", "lock"
-REFUSED = "refused"
 
 
 class Running:
@@ -33,9 +32,11 @@ class Running:
     Raises InputError for scenes that are missing, and for a folder of something else.
     """
 
-    def __init__(self, study: Study, folder: Path) -> None:
-        self.study, self.folder = study, folder.resolve()
-        self.sights = Sights(study)
+    def __init__(self, study: Study, folder: Path, crew: Crew | None = None) -> None:
+        self.study, self.folder, self.crew = study, folder.resolve(), crew or Crew()
+        self.scenes = Scenes(study)
+        self.failed: dict[str, Row] = {}
+        self._told: tuple[str, ...] = ()
         self.cases = {self._key(case): case for case in study.cases()}
         self._file = Rows(self.folder / _ROWS)
         self._by = digest(json.dumps([versions(), commit()], sort_keys=True).encode())
@@ -43,16 +44,17 @@ class Running:
 
     def rows(self) -> list[Row]:
         """Measure what is not there yet. A row a case, in the order of the study."""
-        with self._held():
+        left = self._left()
+        # workers first: nothing is written where there are none
+        with (self.crew if left else Crew()).opened(self.scenes) as work, self._held():
             with progress("measuring", len(self.cases)) as show:
-                done = self.done
-                for key, case in self.cases.items():
-                    if not self._is_done(key):
-                        show(done, detail=f"{case.scene}, view {case.view}")
-                        self._measure(key, case)
-                        done += 1
+                done = len(self.cases) - len(left)
+                show(done)
+                for rows in work.rows(left, lambda detail: show(detail=detail)):
+                    self._keep(rows)
+                    done += len(rows)
                     show(done)
-            self.sights.release()
+            self._told = work.notes
             found = self.table()
             asked = {**asdict(self.study), "rules": None, "folder": None}
             more = {"scene": list(self.study.scenes), "notes": self.notes, "case_columns": self.case_columns}
@@ -61,7 +63,8 @@ class Running:
 
     def table(self) -> list[Row]:
         """The rows that are whole; with a column ``refused`` where some case was."""
-        found = [self._row(key, case) for key, case in self.cases.items() if self._is_done(key)]
+        every = self.cases.items()
+        found = [self._row(key, case) for key, case in every if self._is_done(key) or key in self.failed]
         refused = any(row[REFUSED] for row in found)
         return found if refused else [{name: row[name] for name in row if name != REFUSED} for row in found]
 
@@ -91,7 +94,10 @@ class Running:
         found = [f"{len(refused)} of {len(self.cases)} cases were refused; the first: {refused[0]}"] if refused else []
         found += [f"rows of {len(other)} other cases stay in {_ROWS}"] if other else []
         found += [f"{len(older)} cases had rows of another version: they were made again"] if older else []
-        return tuple(found)
+        if self.failed:
+            first = next(iter(self.failed.values()))[REFUSED]
+            found.append(f"{len(self.failed)} cases failed, and the same command tries them again; the first: {first}")
+        return (*found, *self._told)
 
     def estimate(self) -> list[Row]:
         """A row a scene: cases, how many are there, how many are left, and how many minutes these will take."""
@@ -103,8 +109,15 @@ class Running:
         for scene in self.study.scenes:
             own = [key for key, case in self.cases.items() if case.scene == scene]
             left = len(own) - sum(map(self._is_done, own))
-            each = np.mean(seconds[scene] or every) if every else np.nan
-            found.append({"scene": scene, "cases": len(own), "left": left, "minutes": float(left * each / 60.0)})
+            each = np.mean(seconds[scene] or every) / self.crew.hands if every else np.nan
+            found.append(
+                {
+                    "scene": scene,
+                    "cases": len(own),
+                    "left": left,
+                    "minutes": float(left * each / 60.0),
+                }
+            )
         return found
 
     @cached_property
@@ -123,30 +136,29 @@ class Running:
     def _missing(self, own: Row) -> list[str]:
         return [name for name in self.study.measure if not set(MEASURES[name].columns) <= set(own)]
 
-    def _measure(self, key: str, case: Case) -> None:
-        missing, start = self._missing(self._known.get(key, {})), time.perf_counter()
-        row: Row = {"case": key, "by": self._by, "scene": case.scene, REFUSED: ""}
-        try:
-            with naming(f"scene {case.scene!r}"):
-                look = self.sights.of(case)
-                for own in (ALWAYS, *(MEASURES[name] for name in missing)):
-                    row |= own(look)
-        except InputError as error:
-            row[REFUSED] = str(error)
-        row["seconds"] = time.perf_counter() - start
-        self._file.add(row)
-        self._known.setdefault(key, {}).update(row)
+    def _left(self) -> list[Asked]:
+        """What is not there yet."""
+        left = [key for key in self.cases if not self._is_done(key)]
+        return [Asked(key, self.cases[key], tuple(self._missing(self._known.get(key, {})))) for key in left]
+
+    def _keep(self, rows: list[Row]) -> None:
+        """On disk, all but those that failed: these are tried again by whoever goes on."""
+        self.failed |= {row["case"]: row for row in rows if FAILED in row}
+        whole = [row | {"by": self._by} for row in rows if FAILED not in row]
+        self._file.add(*whole)
+        for row in whole:
+            self._known.setdefault(row["case"], {}).update(row)
 
     def _row(self, key: str, case: Case) -> Row:
         names = [*ALWAYS.columns, *(column for name in self.study.measure for column in MEASURES[name].columns)]
-        known = self._known[key]
+        known = self._known.get(key, {}) | self.failed.get(key, {})
         own = {name: known.get(name, np.nan) for name in dict.fromkeys(names)}
-        return {**self.study.columns(case, self.sights.name(case)), **own, REFUSED: known[REFUSED]}
+        return {**self.study.columns(case, self.scenes.name(case)), **own, REFUSED: known[REFUSED]}
 
     def _key(self, case: Case) -> str:
         """What no other case has, whatever else the study asks."""
-        rule, view = self.study.rules[case.rule], self.sights.view(case)
-        asked = [self.sights.content(case), case.scheme, camera_record(view), rule.name, rule.settings]
+        rule, scenes = self.study.rules[case.rule], self.scenes
+        asked = [scenes.content(case), case.scheme, scenes.camera(case), rule.name, rule.settings]
         asked += [*case[3:6], *case[7:]]
         return digest(json.dumps(asked, sort_keys=True, default=str).encode())
 

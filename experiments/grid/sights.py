@@ -1,41 +1,44 @@
-"""What a study's cases look like: scenes, views and factors, each made once for the cases that share it."""
+"""What a study's cases look like, and rows of them: what cases share is made once while they come one after another."""
 
 from __future__ import annotations
 
-from functools import lru_cache, partial
-from typing import Any
+import time
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from slefejax import Factors, Scene, View, load, tessellation_factors
-from slefejax.experiments.grid.measured import DRAWN, Sight
+from slefejax import Factors, Scene, View, tessellation_factors
+from slefejax.errors import InputError, naming
+from slefejax.experiments.grid.measured import ALWAYS, DRAWN, MEASURES, Sight
 from slefejax.experiments.grid.plan import Case, Study
 from slefejax.experiments.levels import levels_of
 from slefejax.experiments.shading import Shaded
-from slefejax.experiments.store import digest
 from slefejax.experiments.studies.look import Shown
+from slefejax.experiments.tables import Row
 from slefejax.gpu import Renderer
 from slefejax.gpu.renderer import check_levels
 
-_SCENES = 4  # that are kept in memory
+REFUSED = "refused"
+FAILED = "failed"  # of rows that are there for as long as the process only
+
+
+class Asked(NamedTuple):
+    """What is to be measured of a case.
+
+    key : what no other case has;  measures : their names, besides what is always measured
+    """
+
+    key: str
+    case: Case
+    measures: tuple[str, ...]
 
 
 class Sights:
-    """Of all cases. Raises InputError for scenes that are missing or cannot be read."""
+    """Of cases of scenes that are handed in; one thread's own, which has the OpenGL context."""
 
     def __init__(self, study: Study) -> None:
         self.study = study
-        self._load = lru_cache(_SCENES)(self._read)
-        self._views: dict[tuple[str, str], list[View]] = {}
-        self._contents: dict[tuple[str, str], str] = {}
-        self._names: dict[tuple[str, str], str] = {}
-        for case in study.cases():
-            own = case.scene, case.scheme
-            if own not in self._views:
-                scene = self.scene(case)
-                self._views[own] = study.views.around(scene)
-                self._contents[own] = digest(scene.patches().tobytes())
-                self._names[own] = scene.name
         self._drawn = bool(set(study.measure) & set(DRAWN))
         self._normals = "normals" in study.measure
         self._of: tuple[Any, ...] = ()
@@ -43,32 +46,34 @@ class Sights:
         self._shown: dict[tuple[Any, ...], Shown] = {}
         self._factors: dict[tuple[Any, ...], tuple[Factors, Any]] = {}
 
-    def scene(self, case: Case) -> Scene:
-        """With the case's scheme."""
-        return self._load(case.scene, case.scheme)
+    def row(self, asked: Asked, scene: Scene, view: View) -> Row:
+        """What was asked for, or why it is refused, and how many seconds it took."""
+        start = time.perf_counter()
+        row: Row = {"case": asked.key, "scene": asked.case.scene, REFUSED: ""}
+        try:
+            with naming(f"scene {asked.case.scene!r}"):
+                look = self._look(asked.case, scene, view)
+                for own in (ALWAYS, *(MEASURES[name] for name in asked.measures)):
+                    row |= own(look)
+        except InputError as error:
+            row[REFUSED] = str(error)
+        return row | {"seconds": time.perf_counter() - start}
 
-    def view(self, case: Case) -> View:
-        """The case's own."""
-        return self._views[case.scene, case.scheme][case.view]
+    def release(self) -> None:
+        """Give the device's memory back."""
+        for renderer in self._renderers.values():
+            renderer.release()
+        self._renderers = {}
 
-    def content(self, case: Case) -> str:
-        """A short name for the scene's patches."""
-        return self._contents[case.scene, case.scheme]
-
-    def name(self, case: Case) -> str:
-        """Of the scene."""
-        return self._names[case.scene, case.scheme]
-
-    def of(self, case: Case) -> Sight:
-        """What measures look at. Cases of a scene and a view share what they can while they come one after another."""
+    def _look(self, case: Case, scene: Scene, view: View) -> Sight:
+        """What measures look at."""
         if self._of[:2] != case[:2]:
             self.release()
         if self._of != case[:3]:
             self._shown, self._factors = {}, {}
         self._of = case[:3]
-        scene, view = self.scene(case), self.view(case)
         renderer = self._renderer(scene, case.spacing)
-        shown = self._shared(case, renderer)
+        shown = self._shared(case, scene, view, renderer)
         factors, again = self._predicted(case, shown)
         shown.heard(factors)
         scaled = factors.scaled(case.scale)
@@ -78,16 +83,6 @@ class Sights:
             scene.patches(), view, renderer, inner, outer, case.spacing, factors=scaled, shown=shown, again=again
         )
 
-    def release(self) -> None:
-        """Give the device's memory back."""
-        for renderer in self._renderers.values():
-            renderer.release()
-        self._renderers = {}
-
-    def _read(self, name: str, scheme: str) -> Scene:
-        beside = self.study.folder / name
-        return load(beside if beside.exists() else name, scheme=scheme)
-
     def _renderer(self, scene: Scene, spacing: str) -> Any:
         """None where nothing is drawn."""
         if not self._drawn:
@@ -96,10 +91,10 @@ class Sights:
             self._renderers[spacing] = Renderer(scene.patches(), spacing=spacing, normals=self._normals)
         return self._renderers[spacing]
 
-    def _shared(self, case: Case, renderer: Any) -> Shown:
+    def _shared(self, case: Case, scene: Scene, view: View, renderer: Any) -> Shown:
         own = case.pixels, case.degrees
         if own not in self._shown:
-            self._shown[own] = Shown(self.scene(case), self.view(case), case.pixels, shaded=Shaded(case.degrees))
+            self._shown[own] = Shown(scene, view, case.pixels, shaded=Shaded(case.degrees))
         if case.spacing == "equal" and renderer is not None:
             self._shown[own].renderer = renderer
         return self._shown[own]
