@@ -89,8 +89,12 @@ class Rows:
         """All that are whole; none where there is no file."""
         if not self.path.exists():
             return []
-        lines = self.path.read_text(errors="replace").splitlines()
-        return [row for line in lines if (row := _whole(line)) is not None]
+        with self.path.open(errors="replace") as lines:
+            return [row for line in lines if (row := _whole(line)) is not None]
+
+    def size(self) -> int:
+        """Of the file, in bytes; 0 where there is none."""
+        return self.path.stat().st_size if self.path.exists() else 0
 
     def add(self, *rows: Row) -> None:
         """Keep rows at once, so that they survive whatever happens next."""

@@ -5,14 +5,17 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import signal
 import socket
 import subprocess
 import sys
+import time
 from collections import Counter
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import psutil
 import pytest
 
 from slefejax import InputError, Study
@@ -25,10 +28,9 @@ from slefejax.experiments.grid.scenes import Scenes
 from slefejax.experiments.grid.shares import Shares
 from slefejax.experiments.grid.sights import FAILED, REFUSED, Asked
 from slefejax.experiments.grid.worker import Message, identity
+from slefejax.experiments.tables import Rows
 from tests.test_grid import QUICK, lines, write
 
-KILLS = int(os.environ.get("SLEFEJAX_KILLS", "4"))  # of real processes
-STUBBED_KILLS = int(os.environ.get("SLEFEJAX_STUBBED_KILLS", "40"))
 GRID = Study(("twisted-quad", "steep-patch"), {"cameras": 3, "size": [64, 40]}, tolerances_px=(0.25, 0.5, 1.0, 2.0))
 
 
@@ -211,11 +213,66 @@ def test_rows_of_a_worker_are_those_of_this_process(tmp_path):
     assert table(tmp_path / "one") == table(tmp_path / "alone")
 
 
-def command(path: Path, folder: Path, *more: str) -> None:
+def command(path: Path, folder: Path, *more: str, cwd: Path | None = None) -> None:
     words = [sys.executable, "-m", "slefejax", "study", str(path), "--out", str(folder), *more]
-    found = subprocess.run(words, capture_output=True, text=True, check=False)
+    there = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[1])}
+    found = subprocess.run(words, capture_output=True, text=True, check=False, cwd=cwd, env=there)
     assert found.returncode == 0, found.stderr
 
 
 def table(folder: Path) -> str:
     return (folder / "table.csv").read_text()
+
+
+def killed(module: str, folder: Path, kills: int) -> dict[str, Any]:
+    """What a script says that kills studies."""
+    words = [sys.executable, "-m", f"tests.{module}", str(folder), str(kills), "20261129"]
+    said = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True).stdout
+    return json.loads(said.splitlines()[-1])
+
+
+@pytest.mark.slow
+def test_instant_rows_and_many_kills(tmp_path):
+    found = killed("killed_at_once", tmp_path, int(os.environ.get("SLEFEJAX_STUBBED_KILLS", "60")))
+    assert found["within"] > found["kills"] / 10
+    assert (found["lost"], found["doubled"], found["other_tables"]) == (0, 0, 0)
+
+
+@pytest.mark.slow
+def test_real_processes_and_kills(tmp_path):
+    """One study with ``--workers`` and one with ``--scheduler`` at least; ten minutes for twenty kills."""
+    found = killed("killed_workers", tmp_path, int(os.environ.get("SLEFEJAX_KILLS", "9")))
+    assert found["studies"] >= 2
+    assert (found["lost"], found["doubled"], found["other_tables"], found["left"]) == (0, 0, 0, 0)
+
+
+@pytest.mark.slow
+def test_two_workers_say_what_one_process_says(tmp_path):
+    """To the last digit, with a rule of one's own and a case that is refused."""
+    (tmp_path / "rules_of_workers.py").write_text("from tests.test_methods import EverySo as Mine\n")
+    methods = ["certified", {"name": "rules_of_workers:Mine", "pixels": 5.0}, {"name": "fixed", "setting": 1e7}]
+    content = {**QUICK, "scenes": ["twisted-quad", "steep-patch"], "views": {"cameras": 2, "size": [160, 100]}}
+    path = write(tmp_path / "study.toml", **{**content, "methods": methods, "measure": ["pixels", "domain", "drawn"]})
+    command(path, tmp_path / "alone", "--trust-rules", cwd=tmp_path)
+    command(path, tmp_path / "two", "--trust-rules", "--workers", "2", cwd=tmp_path)
+    assert table(tmp_path / "two") == table(tmp_path / "alone")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_workers_end_with_the_client(tmp_path, kind):
+    """However it ends; the folder goes on without workers."""
+    views, folder = {"cameras": 30, "size": [160, 100]}, tmp_path / "out"
+    path = write(tmp_path / "study.toml", **{**QUICK, "views": views})
+    words = [sys.executable, "-m", "slefejax", "study", str(path), "--out", str(folder)]
+    with subprocess.Popen([*words, "--workers", "2"], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as client:
+        while client.poll() is None and not Rows(folder / "rows.jsonl")():
+            time.sleep(0.02)
+        own = psutil.Process(client.pid).children(recursive=True)
+        assert len(own) >= 2
+        client.send_signal(kind)
+        said = client.communicate()[1].decode()
+    assert psutil.wait_procs(own, timeout=5)[1] == []
+    assert kind != signal.SIGINT or (client.returncode == 130 and said.count("\n") == 1)
+    command(path, folder)
+    assert len({row["case"] for row in lines(folder)}) == len(lines(folder)) == 30

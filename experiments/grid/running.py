@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
-from functools import cached_property
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +24,22 @@ from slefejax.experiments.tables import Row, Rows, locked
 _ROWS, _LOCK = "rows.jsonl", "lock"
 
 
+@dataclass
+class _Found:
+    """What a study's folder has.
+
+    size    : of the file of rows, bytes;  known : what was measured of each case by this version
+    others  : cases of which there are rows and the study has none;  older : cases with rows of another version
+    seconds : that rows took, by the scene
+    """
+
+    size: int
+    known: dict[str, Row] = field(default_factory=dict)
+    others: set[str] = field(default_factory=set)
+    older: set[str] = field(default_factory=set)
+    seconds: dict[str, list[float]] = field(default_factory=dict)
+
+
 class Running:
     """A study in a folder.
 
@@ -40,13 +54,14 @@ class Running:
         self.cases = {self._key(case): case for case in study.cases()}
         self._file = Rows(self.folder / _ROWS)
         self._by = digest(json.dumps([versions(), commit()], sort_keys=True).encode())
+        self._found = self._read()
         self._check_folder()
 
     def rows(self) -> list[Row]:
         """Measure what is not there yet. A row a case, in the order of the study."""
-        left = self._left()
         # workers first: nothing is written where there are none
-        with (self.crew if left else Crew()).opened(self.scenes) as work, self._held():
+        with (self.crew if self._left() else Crew()).opened(self.scenes) as work, self._held():
+            left = self._left()
             with progress("measuring", len(self.cases)) as show:
                 done = len(self.cases) - len(left)
                 show(done)
@@ -87,10 +102,8 @@ class Running:
     @property
     def notes(self) -> tuple[str, ...]:
         """What to know of the table."""
-        rows = self._file()
-        other = {row["case"] for row in rows} - set(self.cases)
-        older = {row["case"] for row in rows if row["by"] != self._by} & set(self.cases)
-        refused = [own[REFUSED] for key in self.cases if (own := self._known.get(key, {})).get(REFUSED)]
+        other, older = self._found.others, self._found.older
+        refused = [own[REFUSED] for key in self.cases if (own := self._found.known.get(key, {})).get(REFUSED)]
         found = [f"{len(refused)} of {len(self.cases)} cases were refused; the first: {refused[0]}"] if refused else []
         found += [f"rows of {len(other)} other cases stay in {_ROWS}"] if other else []
         found += [f"{len(older)} cases had rows of another version: they were made again"] if older else []
@@ -101,15 +114,13 @@ class Running:
 
     def estimate(self) -> list[Row]:
         """A row a scene: cases, how many are there, how many are left, and how many minutes these will take."""
-        seconds = defaultdict(list)
-        for row in self._file():
-            seconds[row["scene"]].append(row["seconds"])
+        seconds = self._found.seconds
         every = [own for several in seconds.values() for own in several]
         found = []
         for scene in self.study.scenes:
             own = [key for key, case in self.cases.items() if case.scene == scene]
             left = len(own) - sum(map(self._is_done, own))
-            each = np.mean(seconds[scene] or every) / self.crew.hands if every else np.nan
+            each = np.mean(seconds.get(scene, every)) / self.crew.hands if every else np.nan
             found.append(
                 {
                     "scene": scene,
@@ -120,26 +131,31 @@ class Running:
             )
         return found
 
-    @cached_property
-    def _known(self) -> dict[str, Row]:
-        """What was measured of each case by this version."""
-        found: dict[str, Row] = {}
+    def _read(self) -> _Found:
+        """What there is on disk, read once: there may be a million rows."""
+        found = _Found(self._file.size())
         for row in self._file():
-            if row.get("by") == self._by:
-                found.setdefault(row["case"], {}).update(row)
+            key = row["case"]
+            found.seconds.setdefault(row["scene"], []).append(row["seconds"])
+            if key not in self.cases:
+                found.others.add(key)
+            elif row["by"] != self._by:
+                found.older.add(key)
+            else:
+                found.known.setdefault(key, {}).update(row)
         return found
 
     def _is_done(self, key: str) -> bool:
-        own = self._known.get(key)
+        own = self._found.known.get(key)
         return own is not None and (bool(own.get(REFUSED)) or not self._missing(own))
 
     def _missing(self, own: Row) -> list[str]:
-        return [name for name in self.study.measure if not set(MEASURES[name].columns) <= set(own)]
+        return [name for name in self.study.measure if not all(map(own.__contains__, MEASURES[name].columns))]
 
     def _left(self) -> list[Asked]:
         """What is not there yet."""
         left = [key for key in self.cases if not self._is_done(key)]
-        return [Asked(key, self.cases[key], tuple(self._missing(self._known.get(key, {})))) for key in left]
+        return [Asked(key, self.cases[key], tuple(self._missing(self._found.known.get(key, {})))) for key in left]
 
     def _keep(self, rows: list[Row]) -> None:
         """On disk, all but those that failed: these are tried again by whoever goes on."""
@@ -147,11 +163,11 @@ class Running:
         whole = [row | {"by": self._by} for row in rows if FAILED not in row]
         self._file.add(*whole)
         for row in whole:
-            self._known.setdefault(row["case"], {}).update(row)
+            self._found.known.setdefault(row["case"], {}).update(row)
 
     def _row(self, key: str, case: Case) -> Row:
         names = [*ALWAYS.columns, *(column for name in self.study.measure for column in MEASURES[name].columns)]
-        known = self._known.get(key, {}) | self.failed.get(key, {})
+        known = self._found.known.get(key, {}) | self.failed.get(key, {})
         own = {name: known.get(name, np.nan) for name in dict.fromkeys(names)}
         return {**self.study.columns(case, self.scenes.name(case)), **own, REFUSED: known[REFUSED]}
 
@@ -167,11 +183,11 @@ class Running:
             return
         if not self.folder.is_dir() or (any(self.folder.iterdir()) and not self._file.path.exists()):
             raise InputError(f"{self.folder.name} exists and is no study's folder: name another one, nothing is lost")
-        there = {row.get("case") for row in self._file()}
-        if there and not there & set(self.cases):
+        found = self._found
+        if found.others and not found.older and not found.known:
             raise InputError(
-                f"{self.folder.name} holds another study, of {len(there)} cases that are none of these: name another"
-                " folder"
+                f"{self.folder.name} holds another study, of {len(found.others)} cases that are none of these: name"
+                " another folder"
             )
 
     @contextmanager
@@ -179,6 +195,8 @@ class Running:
         lock = locked(self.folder, _LOCK)
         try:
             self._file.path.touch()
+            if self._file.size() != self._found.size:  # somebody was here in between
+                self._found = self._read()
             yield
         finally:
             os.close(lock)
