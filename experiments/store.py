@@ -179,8 +179,8 @@ def write_results(folder: Path, experiment: str, arguments: Row, rows: list[Row]
         "machine": machine(),
         **more,
     }
-    write_page(folder, PAGE, content, rows, TABLE)
     (folder / RECORD).write_text(json.dumps(strict(content), indent=2, default=str, allow_nan=False) + "\n")
+    write_page(folder, PAGE, content, rows, TABLE)
 
 
 _COMMAND: ContextVar[str | None] = ContextVar("command", default=None)

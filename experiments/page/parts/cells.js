@@ -2,7 +2,7 @@
 // What a cell is and how it is shown. Texts become text of the page, never markup.
 
 const content = JSON.parse(document.getElementById("data").textContent);
-const NOT_FINITE = { NaN: "nan", Infinity: "∞", "-Infinity": "−∞" };
+const NOT_FINITE = { NaN: "nan", Infinity: "∞", "-Infinity": "-∞" };
 
 /** An element with attributes, listeners (onclick and the like) and children; texts among these stay texts. */
 function element(tag, attributes = {}, ...children) {
