@@ -29,7 +29,8 @@ HOSTILE = (
     "<img src=x onerror=alert(1)>",
     "</script><script>alert(1)</script>",
     "<!--<script>",
-    "$$x^2$$ \\(y\\)",
+    "$$x^2$$",
+    "\\(y\\)",
     "{{data}}",
 )
 RECORD = {
@@ -416,6 +417,8 @@ def test_a_browser_runs_nothing_that_is_text(browser, tmp_path, text):
     assert browser.value("document.documentElement.scrollWidth") == 360
     assert browser.value("document.querySelector('h1').textContent") == f"minimality: {text}"
     assert shown_column(browser, 1)[0] == text
+    axes = "charts[0].views[0].axis_views.map((own) => own._axis_label_view.model.type)"
+    assert browser.value(axes) == ["PlainText", "PlainText"], "no formula"
     assert "1 row has no place here" in browser.value("document.querySelector('.chart p').textContent")
 
 

@@ -5,7 +5,7 @@ const MOST_ACROSS = 40; // texts along an axis
 const INK = "#303030";
 const OTHERS = "(others)";
 
-/** Text as Bokeh takes it for text: it would load something to set formulas. */
+/** Text as Bokeh takes it for text, not for a formula. */
 const plain = (text) => text.replaceAll("$$", "$\u200b$").replaceAll("\\[", "\\\u200b[").replaceAll("\\(", "\\\u200b(");
 const short = (text, most = 28) => (text.length > most ? `${text.slice(0, most - 1)}…` : text);
 
