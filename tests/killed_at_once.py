@@ -1,6 +1,6 @@
 """``python -m tests.killed_at_once FOLDER KILLS SEED``: a study of instant rows, killed so often, and what is left.
 
-Every run is a fork of this process that begins with the study's folder as it is, and is killed at a random moment.
+Every run is a fork of this process that begins with the study's folder as it is, and is killed at a random byte.
 After half of the kills the last line of the rows is cut at a random byte, as a machine that loses its power leaves it.
 """
 
@@ -12,6 +12,7 @@ import random
 import signal
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 from slefejax import Study
@@ -29,15 +30,19 @@ def instant(self: Sights, asked, scene, view) -> Row:
     return row | {"sup_error_px": asked.case.pixels / 3, "seconds": 0.0}
 
 
-def run_and_be_killed(folder: Path, seconds: float) -> None:
-    """One start of the study, and its end."""
+def run_and_be_killed(folder: Path, more: int) -> None:
+    """One start of the study, and its end as soon as there are so many bytes more."""
+    path = folder / "rows.jsonl"
+    size = Rows(path).size()
     child = os.fork()
     if child == 0:
         Running(STUDY, folder).rows()
         os._exit(0)
-    time.sleep(seconds)
-    os.kill(child, signal.SIGKILL)
-    os.waitpid(child, 0)
+    while Rows(path).size() < size + more and os.waitpid(child, os.WNOHANG) == (0, 0):
+        time.sleep(0.0005)
+    with suppress(ProcessLookupError, ChildProcessError):
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
 
 
 def cut(path: Path, draw: random.Random) -> None:
@@ -64,7 +69,7 @@ def main(folder: Path, kills: int, seed: int) -> None:
         rows = Rows(own / "rows.jsonl")
         for _ in range(min(12, kills - found["kills"])):
             before = {row["case"] for row in rows()}
-            run_and_be_killed(own, draw.uniform(0.0, 0.12))
+            run_and_be_killed(own, draw.randint(0, 9000))
             after = [row["case"] for row in rows()]
             found["kills"] += 1
             found["within"] += len(before) < len(after) < CASES

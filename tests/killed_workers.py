@@ -126,7 +126,7 @@ def strike(processes: Processes, draw: random.Random, found: Counter) -> str:
         whole = draw.random() < 0.3
         kill(own if whole else own[:1])
         client.wait()
-        found["left"] += len(psutil.wait_procs(own, timeout=5)[1])  # workers end with their client by themselves
+        found["left"] += len(psutil.wait_procs(own, timeout=30)[1])  # one that has just begun has to import first
         return "tree" if whole else "client"
     victim = draw.choice(there)
     words = " ".join(victim.cmdline())

@@ -234,7 +234,7 @@ def killed(module: str, folder: Path, kills: int) -> dict[str, Any]:
 @pytest.mark.slow
 def test_instant_rows_and_many_kills(tmp_path):
     found = killed("killed_at_once", tmp_path, int(os.environ.get("SLEFEJAX_STUBBED_KILLS", "60")))
-    assert found["within"] > found["kills"] / 10
+    assert found["within"] > found["kills"] / 2
     assert (found["lost"], found["doubled"], found["other_tables"]) == (0, 0, 0)
 
 
@@ -272,7 +272,7 @@ def test_workers_end_with_the_client(tmp_path, kind):
         assert len(own) >= 2
         client.send_signal(kind)
         said = client.communicate()[1].decode()
-    assert psutil.wait_procs(own, timeout=5)[1] == []
+    assert psutil.wait_procs(own, timeout=30)[1] == []  # one that has just begun has to import first
     assert kind != signal.SIGINT or (client.returncode == 130 and said.count("\n") == 1)
     command(path, folder)
     assert len({row["case"] for row in lines(folder)}) == len(lines(folder)) == 30

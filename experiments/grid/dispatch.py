@@ -31,6 +31,7 @@ from slefejax.experiments.tables import Row
 _LOOK = 1.0  # seconds, from one look at who is there to the next
 _AIM = 1.0  # seconds that the cases of a task take: to hand out a task and to hear of it takes some milliseconds
 _MOST = 64  # cases of a task
+_GATHER = 0.01  # seconds in which more rows may come: they are written together
 _TRIES = 2  # of a case whose worker dies
 
 
@@ -170,7 +171,7 @@ class Dispatch:
             while len(worker.tasks) < 1 + (worker.pace < _AIM):
                 asked = shares.take(address, max(1, min(_MOST, int(_AIM / max(worker.pace, 1e-9)))))
                 if not asked:
-                    break
+                    return
                 self._give(address, worker, asked)
 
     def _give(self, address: str, worker: _Worker, asked: list[Asked]) -> None:
@@ -196,6 +197,7 @@ class Dispatch:
         found, heard = [], []
         with suppress(Empty):
             heard.append(self._heard.get(timeout=seconds))
+            time.sleep(_GATHER)
             while True:
                 heard.append(self._heard.get_nowait())
         whose = {number: worker for worker in self._workers.values() for number in worker.tasks}
