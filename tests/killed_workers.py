@@ -91,11 +91,11 @@ def main(folder: Path, kills: int, seed: int) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "study.toml").write_text(TEXT)
     assert started("slefejax", "study", str(folder / "study.toml"), "--out", str(folder / "reference")).wait() == 0
-    while sum(victims.values()) < kills:
+    while sum(victims.values()) - victims["nobody"] < kills:
         own = folder / f"study {found['studies']}"
         processes = Processes(own, cluster=found["studies"] % 2 == 1)
         kept: set[str] = set()
-        for _ in range(8 if sum(victims.values()) < kills else 0):
+        for _ in range(8):
             processes.start()
             time.sleep(draw.uniform(2.0, 12.0))
             victims[strike(processes, draw, found)] += 1
@@ -128,6 +128,8 @@ def strike(processes: Processes, draw: random.Random, found: Counter) -> str:
         client.wait()
         found["left"] += len(psutil.wait_procs(own, timeout=30)[1])  # one that has just begun has to import first
         return "tree" if whole else "client"
+    if not there:  # it came to its end
+        return "nobody"
     victim = draw.choice(there)
     words = " ".join(victim.cmdline())
     kill([victim])
