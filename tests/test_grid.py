@@ -211,7 +211,7 @@ def test_rows_of_another_version_are_made_again(tmp_path, monkeypatch):
     Study(**QUICK).run(folder)
     monkeypatch.setattr(running, "commit", lambda: "another")
     own = Running(Study(**QUICK), folder)
-    assert own.done == 0
+    assert own.table() == []
     own.rows()
     assert len(lines(folder)) == 2
     assert any("another version" in note for note in own.notes)
@@ -255,6 +255,14 @@ def test_two_studies_are_compared_case_by_case(tmp_path, capsys):
     found = json.loads(capsys.readouterr().out)
     assert found["rows"] == []
     assert (len(found["only_in_first"]), len(found["only_in_second"])) == (2, 2)
+
+
+def test_rows_of_something_else_are_refused(tmp_path):
+    """As a stopped run of another command leaves them."""
+    (tmp_path / "rows.jsonl").write_text('{"scale": 1.0, "triangles": 20207}\n')
+    with pytest.raises(InputError, match="has rows that are no study's"):
+        Study(**QUICK).run(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["rows.jsonl"]
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path):

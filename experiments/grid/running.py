@@ -22,6 +22,7 @@ from slefejax.experiments.store import commit, digest, versions, write_results
 from slefejax.experiments.tables import Row, Rows, locked
 
 _ROWS, _LOCK = "rows.jsonl", "lock"
+_ALWAYS = {"case", "by", "scene", "seconds"}  # what every row on disk has
 
 
 @dataclass
@@ -95,11 +96,6 @@ class Running:
         return (*differ, *told, "triangles", *([REFUSED] if REFUSED in rows[0] else []))
 
     @property
-    def done(self) -> int:
-        """How many cases are whole."""
-        return sum(map(self._is_done, self.cases))
-
-    @property
     def notes(self) -> tuple[str, ...]:
         """What to know of the table."""
         other, older = self._found.others, self._found.older
@@ -135,6 +131,8 @@ class Running:
         """What there is on disk, read once: there may be a million rows."""
         found = _Found(self._file.size())
         for row in self._file():
+            if not row.keys() >= _ALWAYS:
+                raise InputError(f"{self.folder.name} has rows that are no study's in {_ROWS}: name another folder")
             key = row["case"]
             found.seconds.setdefault(row["scene"], []).append(row["seconds"])
             if key not in self.cases:

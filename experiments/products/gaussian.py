@@ -166,8 +166,6 @@ class GaussianOfScene:
         """The scene's own covariances at all levels, and others at one."""
         found = [_Case(OWN, own, "certified", 0)]
         found += [_Case(OWN, own, method, level) for method in ("published", "recursive") for level in self.levels]
-        if not (is_whole(self.depth, 1) and self.depth <= DEEPEST):
-            raise InputError(f"--depth must be a whole number from 1 to {DEEPEST}, not {self.depth}")
         for condition in self.conditions:
             for orientation in ORIENTATIONS[: None if condition > 1 else 1]:
                 found += [_Case(orientation, condition, "certified", 0)]
